@@ -31,9 +31,10 @@ from surctl.priority import safe_step
 from surctl.priority.solver.dual_step import Space
 from surctl.priority.solver.elimination import FLOAT32
 from surctl.priority.solver.fallback import CLAMPED, LIMITED, MET, RELAXED, UNCONFIRMED
-from surctl.priority.solver.kernel import in_blocks, most_iterations, search
+from surctl.priority.solver.kernel import most_iterations, search
 from tests.oracles.distance_trials import FAMILIES, Trials, draw_trials, judge
 from tests.oracles.least_distance import examine
+from tests.priority.blocks import in_blocks
 
 N, P, M = 4, 2, 24
 CHUNK = 20_000

@@ -39,8 +39,8 @@ from surctl.ir import to_casadi  # noqa: E402
 from surctl.ir.cache import compiler_version  # noqa: E402
 from surctl.marine.control import GAINS, Gains, load_gains  # noqa: E402
 from surctl.marine.simulation import METRICS, Case, Sensing, load_scenario, simulate, simulate_batch  # noqa: E402
+from surctl.marine.simulation.batch.engines import pack, structure_of  # noqa: E402
 from surctl.marine.simulation.batch.loop import build_loop  # noqa: E402
-from surctl.marine.simulation.batch.pack import pack, structure_of  # noqa: E402
 from surctl.marine.vehicle import load_vehicle, plant_parameters  # noqa: E402
 from surctl.priority import Mode  # noqa: E402
 from tests.oracles.mission_loop import simulate as in_numpy  # noqa: E402

@@ -19,13 +19,13 @@ import numpy as np
 
 from surctl.errors import ToolMissing
 from surctl.ir import Block, memory
-from surctl.ir.frames import stack_bytes
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
 from surctl.marine.simulation import STOPS, BatchResult, Case, Sensors, load_scenario, simulate_batch
+from surctl.marine.simulation.batch.engines import structure_of
 from surctl.marine.simulation.batch.loop import build_loop
-from surctl.marine.simulation.batch.pack import structure_of
 from surctl.marine.vehicle import load_vehicle
+from tests.stack import stack_bytes
 
 INSTRUCTIONS = 2  # of a Cortex-M4F per operation: assumption of the cost estimate
 RATE, CLOCK = 20.0, 168e6  # steps a second, Hz

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surctl.certcheck import check_document
+from surctl.certcheck.rules import Rules
 from surctl.marine.verification import claims
 from surctl.verification import Claim, falsify, prove
 from surctl.verification.formula import parse, variable
@@ -134,7 +135,7 @@ def bare_24() -> Told:
     tape, guards = build_tape(names, [margin]), build_tape(names, [guard])
     began = time.perf_counter()
     found = search(
-        BoxTask(tape, guards, build_tape(names, [margin, guard]), ends, GAP), deadline=time.process_time() + 60.0
+        BoxTask(Rules(tape, guards, GAP), build_tape(names, [margin, guard]), ends), deadline=time.process_time() + 60.0
     )
     seconds = time.perf_counter() - began
     shown = f"left ≤ right + {GAP:g}, {found.boxes} boxes" if found.closed else f"{found.reason}"

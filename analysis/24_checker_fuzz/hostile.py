@@ -217,7 +217,8 @@ def wide_leaves(size: int) -> Document:
 def tangents(size: int) -> Document:
     """Second derivatives in 36 variables."""
     names = [f"v{k}" for k in range(36)]
-    long = "0 - " + _fill(lambda k: f"({' + '.join(names)} + 0.{k})^2", min(size // 3, 30_000), " - ")
+    turned = [names[k:] + names[:k] for k in range(36)]  # the last term needs each variable, so that all are stored
+    long = "0 - " + _fill(lambda k: f"({' + '.join(turned[k % 36])} + 0.{k})^2", min(size // 3, 30_000), " - ")
     return _inequality(
         long, "1e9", names=names, cases=[{**_case(f"{long} - 1e9"), "tree": "c", "points": [[0.0] * 36]}]
     )

@@ -25,9 +25,8 @@ from surctl.marine.control import Gains, default_law, law_source
 from surctl.marine.control.steering import turning_radius
 from surctl.marine.guidance import Path
 from surctl.marine.simulation import Case, Scenario, law_numbers
-from surctl.marine.simulation.batch.engines import compiled_loop
+from surctl.marine.simulation.batch.engines import compiled_loop, pack, structure_of
 from surctl.marine.simulation.batch.loop import build_loop
-from surctl.marine.simulation.batch.pack import pack, structure_of
 from surctl.marine.simulation.metrics import STOPS
 from surctl.marine.simulation.scaling import mission_size, straight_mission
 from surctl.marine.simulation.scenario import Disturbance

@@ -11,10 +11,10 @@ import pytest
 
 from surctl.errors import ToolMissing
 from surctl.ir import Call, Loop, Real, Routine, compile_block, lower, memory, replay
-from surctl.ir.frames import stack_bytes
 from surctl.ir.native import _source
 from tests.ir import test_program_text
 from tests.ir.test_places import mixed, moved
+from tests.stack import stack_bytes
 from tests.tools import need_compiler
 
 

@@ -28,7 +28,7 @@ from surctl.marine.simulation import (
     simulate,
     simulate_batch,
 )
-from surctl.marine.simulation.batch.structure import NO_END
+from surctl.marine.simulation.batch.engines import NO_END
 from surctl.marine.simulation.batch.structure import Body as Symbols
 from surctl.marine.simulation.explanation import stop_reason
 from surctl.marine.simulation.run import depth_changes

@@ -9,12 +9,11 @@ import pytest
 
 from surctl.certcheck import check_document
 from surctl.marine.control import build_law, load_gains
-from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import claims, cruise_loop, law_corners
 from surctl.marine.verification.braking import BRAKING_CLAIMS
 from surctl.marine.verification.corners import corners
 from surctl.marine.verification.linear import bearable_speed
-from surctl.marine.verification.region import prove_turning, turning_claim
+from surctl.marine.verification.region import prove_turning
 from surctl.verification import prove
 from surctl.verification.sampled_margins import SampledLoop
 from tests.verification import test_claim_file, test_counterexample, test_functions_of_claims, test_margins
@@ -22,14 +21,14 @@ from tests.verification.braking import test_proof as braking
 from tests.verification.linear import test_corners
 from tests.verification.linear.test_margin_speed import WU, ranged
 from tests.verification.proving import test_squares
+from tests.verification.region.test_proof import turning
 from tests.verification.test_library import one
 
 GAINS = load_gains("default").values
 
 
 def test_an_impossible_rate_of_a_turning_hull_is_not_proved() -> None:
-    vehicle, gains = load_vehicle("bluerov2-wu"), load_gains("default")
-    claim = turning_claim("test", vehicle, gains, share=0.0, mass_share=0.0, rate=0.02, rest=True)
+    claim = turning("bluerov2-wu", share=0.0, mass_share=0.0, rate_per_s=0.02, at_rest=True)
     again = prove_turning(replace(claim, rate=5.0), attempts=1)
     assert again.verdict == "unknown" and again.sentence.startswith("unknown: not provable for this vehicle")
 

@@ -31,6 +31,7 @@ EXAMPLES = {
     "pendulum_lqr": "pendulum on a cart, LQR and margins",
     "camera_cart": "cart, sampled sensors, noise and dropouts",
     "crane": "overhead crane, region of the sampled loop with its force limit",
+    "reactor": "stirred tank reactor, region about an unstable operating point",
     "barrier_double_integrator": "cart, safety filter",
     "van_der_pol": "textbook dynamics, certificate",
     "own_goals": "underwater robot, goals",

@@ -203,6 +203,8 @@ def _proves_motion(claim: Mapping[str, Any]) -> str:
         varies = any(row["lower"] < row["upper"] for row in claim["parameters"])
         inside = f"the box {box} and, with constant parameters, to the equilibrium in this box"
         goal = inside if varies else f"the equilibrium at {box}"
+        if claim.get("constant"):
+            goal = f"the equilibrium of its parameters, which are constant, at {box}"
     if claim["rate"] is None:
         return f"{region} and converges to {goal}, which is asymptotically stable"
     pace = (

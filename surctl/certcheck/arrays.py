@@ -1,338 +1,243 @@
-"""A quick look at many boxes of a proof at once, in arrays of doubles that are rounded outward.
+"""Interval arithmetic on arrays of doubles, rounded outward: each result contains all values of the operation.
 
-A box that is not decided here is left to `surctl.certcheck.enclosure`, so this module only has to be right where it
-decides. NaN is a range that is not known, because an operation is not defined on the whole box, or an end is infinite
-minus infinite or 0 times infinite. Every operation on NaN results in NaN, and no comparison with NaN is true. The
-processor rounds each sum, product and quotient to one of the two doubles beside the exact number; every end is then
-moved to the next double. Sine and cosine have a series of their own; the ranges of other functions come from
-`enclosure`, one interval at a time.
+Sums, products, quotients and roots only need a processor that rounds as IEEE 754 states, with denormal numbers. The
+ends of a sum are rounded outward only if its exact rounding error requires it, and those of a product, quotient or root
+are moved to the next double unless they are exact: claims often hold with equality at 0. Cosine and sine have a series
+of their own. The prover and the checker compute with this module.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import sys
 from fractions import Fraction
-from functools import cache, lru_cache
-from typing import Any
+from functools import lru_cache
+from math import inf, nextafter, pi
 
 import numpy as np
-from mpmath import libmp
 from numpy.typing import NDArray
 
-from surctl.certcheck.elementary import pi
-from surctl.certcheck.enclosure import Interval, Undefined, enclose, rational
-from surctl.certcheck.expressions import BRANCHES, Entry, ExpressionTable
-from surctl.certcheck.patience import go_on
-
-__all__ = ["FEWEST", "TOGETHER", "proved_together", "ranges"]
-
-TOGETHER = 512
-"""Number of boxes that are worth a look together."""
-
-FEWEST = 16
-"""With fewer boxes by the same rule, arrays are slower than intervals one at a time."""
+__all__ = [
+    "PI", "Array", "Ends", "Flags", "add", "cosine_and_sine", "decimals", "divide", "down", "enclosed",
+    "has_gradual_underflow", "hull_max", "hull_min", "magnitude", "multiply", "negate", "point", "square",
+    "squared_root", "subtract", "to_power", "up",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 Ends = tuple[Array, Array]
-"""Lower and upper ends (B,) of intervals, or (1,) if all boxes have the same; no interval (None) is [0, 0]."""
-Leaf = tuple[str, list[tuple[float, float]]]
+"""Intervals (lower, upper) as two arrays of equal shape; the whole real line is (−inf, inf)."""
 
-_MOST = 500_000  # most intervals in the arrays of an expression
-_UNKNOWN = (np.nan, np.nan)
-_ONE = (np.ones(1), np.ones(1))
+PI = pi, nextafter(pi, 4.0)
+"""Bounds on π: the double lies below it."""
+
 _TERMS = 10  # of the series of cosine and sine
+_LARGEST_ANGLE = 1000.0  # of the series [rad]
 
 
-def proved_together(
-    expressions: ExpressionTable, numerator: int | None, constraints: Sequence[int], leaves: Sequence[Leaf]
-) -> list[bool]:
-    """Return for each leaf, a rule and a box, whether it is certain that the rule proves the inequality on the box.
-
-    Args:
-        expressions: table of all expressions.
-        numerator: expression of which numerator ≤ 0 is to be proved; None if it need not be defined on the boxes.
-        constraints: expressions of which one has to be positive for the rules `i` and `j`.
-        leaves: the leaves.
-    """
-    if len(leaves) < FEWEST:
-        return [False] * len(leaves)
-    done = np.zeros(len(leaves), dtype=bool)
-    rules = np.array([rule for rule, _ in leaves])
-    for rule, roots in {
-        **dict.fromkeys("ij", constraints),
-        **dict.fromkeys("nm", () if numerator is None else (numerator,)),
-    }.items():
-        among = np.flatnonzero(rules == rule)
-        if len(among) < FEWEST or not _has_gradual_underflow():
-            continue
-        low, high = np.array([leaves[k][1] for k in among.tolist()]).transpose(2, 1, 0)
-        for root in roots:
-            needed, left = expressions.needed([root]), np.flatnonzero(~done[among])
-            step = _MOST // (len(needed) * (len(low) + 1))
-            if step < FEWEST or not {expressions.entries[at].op for at in needed}.isdisjoint(_OTHERS):
-                continue
-            for begin in range(0, len(left), step):
-                part = left[begin : begin + step]
-                with np.errstate(all="ignore"):
-                    done[among[part]] = _decided(expressions, rule, root, low[:, part], high[:, part])
-    return done.tolist()
-
-
-_OTHERS = (*BRANCHES, "atan2")  # operations that are left to `enclosure`
-
-
-def _has_gradual_underflow() -> bool:
+def has_gradual_underflow() -> bool:
     """Return whether the processor computes with denormal numbers; some libraries make it replace them by 0."""
     return bool(np.all(np.array([5e-324, 2.0**-1022]) * np.array([1.0, 0.5]) > 0))
 
 
-def _decided(expressions: ExpressionTable, rule: str, root: int, low: Array, high: Array) -> NDArray[np.bool_]:
-    """Return for each box whether the rule is certain to hold: root ≤ 0 for `n` and `m`, root > 0 for `i` and `j`.
-
-    The rules are those of `surctl.certcheck.inequality`. The boxes have ends (n, B) that are doubles; the range of a
-    variable contains each end and its printed decimal.
-    """
-    if rule in "in":
-        return _good(rule, ranges(expressions, root, _decimals(low, high))[0])
-    value, slope = ranges(expressions, root, _decimals(low, high), order=1)
-    known: NDArray[np.bool_] = ~np.isnan(value[0] + value[1])  # the root is defined on the whole box
-    if rule == "j":
-        return known & _good(rule, _mean_value(expressions, root, slope, low, high))
-    # the face of the box where the root is largest
-    down, up = (np.array([np.broadcast_to(_some(s)[k], low.shape[1:]) for s in slope]) for k in (0, 1))
-    rises = down >= 0
-    low, high = np.where(rises, high, low), np.where(~rises & (up <= 0), low, high)
-    on_face = ranges(expressions, root, _decimals(low, high))[0]
-    return known & (_good(rule, on_face) | _good(rule, _mean_value(expressions, root, slope, low, high)))
+def point(x: Array) -> Ends:
+    """Return point intervals, each of which contains exactly one number."""
+    return x, x
 
 
-def _good(rule: str, a: Ends) -> NDArray[np.bool_]:
-    fine: NDArray[np.bool_] = a[0] > 0 if rule in "ij" else a[1] <= 0
-    return fine
+def enclosed(value: Fraction) -> tuple[float, float]:
+    """Return the nearest double below and the nearest double above a number; both are the number if it is a double."""
+    largest = sys.float_info.max
+    try:
+        near = float(value)
+    except OverflowError:
+        return (largest, inf) if value > 0 else (-inf, -largest)
+    over, under = near.as_integer_ratio()
+    above = over * value.denominator - value.numerator * under  # a comparison of fractions is slow
+    low = near if above <= 0 else nextafter(near, -inf)
+    return low, near if above >= 0 else nextafter(near, inf)
 
 
-def _mean_value(expressions: ExpressionTable, root: int, slope: list[Any], low: Array, high: Array) -> Ends:
-    """Return the range by the mean-value form: value at the centre + slopes · offsets."""
-    centre = low / 2 + high / 2
-    centre = np.where((low <= centre) & (centre <= high), centre, np.nan)
-    wide = _decimals(low, high)
-    total, _ = ranges(expressions, root, (centre, centre))
-    for k, s in enumerate(slope):
-        if s is not None:
-            total = _sum(total, _times(s, (_down(wide[0][k] - centre[k]), _up(wide[1][k] - centre[k]))))
-    return total
+_DIGITS = Fraction("3.14159265358979323846264338327950288")  # first digits of π
+_HEAD = round(float(_DIGITS / 2) * 2**31) / 2**31  # π/2 to 32 bits
+_TAIL = enclosed(_DIGITS / 2 - Fraction(_HEAD))[0], enclosed((_DIGITS + Fraction(1, 10**35)) / 2 - Fraction(_HEAD))[1]
+"""Bounds on π/2 − _HEAD."""
 
 
-def ranges(expressions: ExpressionTable, root: int, box: Ends, *, order: int = 0) -> tuple[Ends, list[Any]]:
-    """Return the range of an expression on boxes (n, B), and with order 1 those of its slopes; None is [0, 0].
-
-    A range is NaN if it is not known, and has the shape (1,) if it is the same on all boxes.
-    """
-    known: dict[int, tuple[Ends, list[Any]]] = {}
-    for at in expressions.needed([root]):
-        go_on()
-        entry = expressions.entries[at]
-        known[at] = _step(entry, [known[a] for a in entry.args], box, order)
-    return known[root]
+def decimals(low: Array, high: Array) -> Ends:
+    """Return intervals that contain the ends and the decimals that are printed for them."""
+    ends = []
+    for side, end in enumerate((low, high)):
+        each, places = np.unique(end, return_inverse=True)
+        ends.append(np.array([_decimal(x)[side] for x in each.tolist()])[places].reshape(end.shape))
+    return ends[0], ends[1]
 
 
-def _step(entry: Entry, args: list[tuple[Ends, list[Any]]], box: Ends, order: int) -> tuple[Ends, list[Any]]:
-    n = len(box[0])
-    match entry.op:
-        case "num":
-            return _constant(entry.value), [None] * n
-        case "var":
-            at = entry.value.numerator
-            return (box[0][at], box[1][at]), [_ONE if order and k == at else None for k in range(n)]
-        case "add":
-            return _sum(args[0][0], args[1][0]), [_sum(p, q) for p, q in zip(args[0][1], args[1][1], strict=True)]
-        case "sub":
-            a, b = args[0], _negative(args[1])
-            return _sum(a[0], b[0]), [_sum(p, q) for p, q in zip(a[1], b[1], strict=True)]
-        case "neg":
-            return _negative(args[0])
-        case "mul" if entry.args[0] != entry.args[1]:
-            return _product(*args)
-        case "mul":
-            return _power(args[0], 2)
-        case "div":
-            return _product(args[0], _reciprocal(args[1]))
-        case "sin":
-            cosine, sine = _circle(args[0][0])
-            return _chain(args[0], sine, lambda: cosine)
-        case "cos":
-            cosine, sine = _circle(args[0][0])
-            return _chain(args[0], cosine, lambda: _minus(sine))
-        case "pow" if entry.value:
-            raised = _power(args[0], abs(entry.value.numerator))
-            return raised if entry.value > 0 else _reciprocal(raised)
-    return _function(entry.op, entry.value, args, order, n)
+@lru_cache(8192)
+def _decimal(x: float) -> tuple[float, float]:
+    """Return the least and the largest of a double and of the doubles around its printed decimal."""
+    low, high = enclosed(Fraction(repr(x)))
+    return min(x, low), max(x, high)
 
 
-def _down(x: Array) -> Array:
+def down(x: Array) -> Array:
+    """Return the next lower doubles."""
     return np.nextafter(x, -np.inf)
 
 
-def _up(x: Array) -> Array:
+def up(x: Array) -> Array:
+    """Return the next higher doubles."""
     return np.nextafter(x, np.inf)
 
 
-def _decimals(low: Array, high: Array) -> Ends:
-    # the decimal that is printed for a double lies between the two doubles beside it
-    return np.where(low == 0, 0.0, _down(low)), np.where(high == 0, 0.0, _up(high))
+def _sum_ends(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return the sum a + b and its rounding error, which is exact unless the sum overflows."""
+    total = a + b
+    part = total - a
+    error = (a - (total - part)) + (b - part)
+    return total, error
 
 
-def _constant(value: Fraction) -> Ends:
-    low, high = _doubles(rational(value))
-    return np.array([low]), np.array([high])
+def add(a: Ends, b: Ends) -> Ends:
+    """Return a + b."""
+    low, error_low = _sum_ends(a[0], b[0])
+    high, error_high = _sum_ends(a[1], b[1])
+    # the comparison is false for a NaN error, so the end is then moved outwards
+    low = np.where(error_low >= 0, low, down(low))
+    high = np.where(error_high <= 0, high, up(high))
+    return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
 
 
-def _doubles(a: Interval) -> tuple[float, float]:
-    """Return doubles that enclose an interval of mpmath's raw numbers."""
-    low, high = (float(libmp.to_float(end)) for end in a)
-    if libmp.from_float(low) != a[0]:
-        low = float(np.nextafter(low, -np.inf))
-    if libmp.from_float(high) != a[1]:
-        high = float(np.nextafter(high, np.inf))
-    return low, high
+def negate(a: Ends) -> Ends:
+    """Return −a."""
+    return -a[1], -a[0]
 
 
-_QUARTER: Ends = (np.full(1, _doubles(pi())[0] / 2), np.full(1, _doubles(pi())[1] / 2))
-"""Bounds on π/2."""
+def subtract(a: Ends, b: Ends) -> Ends:
+    """Return a − b."""
+    return add(a, negate(b))
 
 
-def _some(a: Ends | None) -> Ends:
-    return (np.zeros(1), np.zeros(1)) if a is None else a
+def multiply(a: Ends, b: Ends) -> Ends:
+    """Return the product a b; an infinite end times 0 is 0."""
+    # one array operation on the four products of ends costs far less than four, as most arrays are small
+    x, y = np.array(a), np.array(b)
+    x = x.reshape(2, 1, *(1,) * (y.ndim - x.ndim), *x.shape[1:])
+    y = y.reshape(1, 2, *(1,) * (x.ndim - 1 - y.ndim), *y.shape[1:])
+    exact = (x == 0) | (y == 0)
+    p = np.where(exact, 0.0, x * y)
+    if np.array_equal(p == 0, exact):
+        low, high = p.min(axis=(0, 1)), p.max(axis=(0, 1))
+        return np.where(low == 0, 0.0, down(low)), np.where(high == 0, 0.0, up(high))
+    low, high = np.where(exact, p, down(p)), np.where(exact, p, up(p))  # a product underflows, or is NaN
+    return low.min(axis=(0, 1)), high.max(axis=(0, 1))
 
 
-def _minus(a: Any) -> Any:
-    return None if a is None else (-a[1], -a[0])
+def square(a: Ends) -> Ends:
+    """Return a²."""
+    return to_power(a, 2)
 
 
-def _negative(a: tuple[Ends, list[Any]]) -> tuple[Ends, list[Any]]:
-    return _minus(a[0]), [_minus(s) for s in a[1]]
+def to_power(a: Ends, exponent: int) -> Ends:
+    """Return a^exponent for exponent ≥ 0; the interval of an even power has no negative part."""
+    if exponent == 0:
+        return np.ones_like(a[0]), np.ones_like(a[1])
+    if exponent % 2:
+        low, high = _repeated(np.abs(a[0]), exponent), _repeated(np.abs(a[1]), exponent)
+        return np.where(a[0] < 0, -low[1], low[0]), np.where(a[1] < 0, -high[0], high[1])
+    small = np.where((a[0] <= 0) & (a[1] >= 0), 0.0, np.minimum(np.abs(a[0]), np.abs(a[1])))
+    large = np.maximum(np.abs(a[0]), np.abs(a[1]))
+    return _repeated(small, exponent)[0], _repeated(large, exponent)[1]
 
 
-def _sum(a: Any, b: Any) -> Any:
-    if a is None or b is None:
-        return b if a is None else a
-    return _down(a[0] + b[0]), _up(a[1] + b[1])
-
-
-def _times(a: Any, b: Any) -> Any:
-    if a is None or b is None:
-        return None
-    p, q, r, s = a[0] * b[0], a[0] * b[1], a[1] * b[0], a[1] * b[1]
-    low, high = np.minimum(np.minimum(p, q), np.minimum(r, s)), np.maximum(np.maximum(p, q), np.maximum(r, s))
-    return _down(low), _up(high)
-
-
-def _product(a: tuple[Ends, list[Any]], b: tuple[Ends, list[Any]]) -> tuple[Ends, list[Any]]:
-    slope = [_sum(_times(p, b[0]), _times(q, a[0])) for p, q in zip(a[1], b[1], strict=True)]
-    return _times(a[0], b[0]), slope
-
-
-def _chain(a: tuple[Ends, list[Any]], value: Ends, first: Callable[[], Ends]) -> tuple[Ends, list[Any]]:
-    slope = None if all(s is None for s in a[1]) else first()
-    return value, [_times(s, slope) for s in a[1]]
-
-
-def _reciprocal(a: tuple[Ends, list[Any]]) -> tuple[Ends, list[Any]]:
-    low, high = a[0]
-    fine = (low > 0) | (high < 0)
-    value = np.where(fine, _down(1.0 / high), np.nan), np.where(fine, _up(1.0 / low), np.nan)
-    return _chain(a, value, lambda: _minus(_raised(value, 2)))
-
-
-def _power(a: tuple[Ends, list[Any]], n: int) -> tuple[Ends, list[Any]]:
-    factor = np.full(1, float(n))
-    return _chain(a, _raised(a[0], n), lambda: _times((factor, factor), _raised(a[0], n - 1)) if n > 1 else _ONE)
-
-
-def _raised(a: Ends, n: int) -> Ends:
-    """Return the interval of a^n for n ≥ 1."""
-    if n % 2:
-        sizes = [_powers(np.abs(end), n) for end in a]
-        return np.where(a[0] < 0, -sizes[0][1], sizes[0][0]), np.where(a[1] < 0, -sizes[1][0], sizes[1][1])
-    small, large = np.minimum(np.abs(a[0]), np.abs(a[1])), np.maximum(np.abs(a[0]), np.abs(a[1]))
-    return _powers(np.where((a[0] <= 0) & (a[1] >= 0), 0.0, small), n)[0], _powers(large, n)[1]
-
-
-def _powers(x: Array, n: int) -> Ends:
-    """Return bounds on x^n for numbers x ≥ 0."""
+def _repeated(x: Array, exponent: int) -> Ends:
+    """Return x^exponent for x ≥ 0."""
     low = high = x
-    for _ in range(n - 1):
-        low, high = np.maximum(_down(low * x), 0.0), _up(high * x)
+    for _ in range(exponent - 1):
+        low, high = np.maximum(down(low * x), 0.0), np.where(x == 0, 0.0, up(high * x))
     return low, high
 
 
-def _circle(a: Ends) -> tuple[Ends, Ends]:
-    """Return the ranges of cosine and sine on intervals within ±1000; on others, they are not known."""
+def divide(a: Ends, b: Ends) -> Ends:
+    """Return a / b; the whole real line if b contains 0."""
+    unsafe = (b[0] <= 0) & (b[1] >= 0)
+    under = np.where(unsafe, 1.0, b[0]), np.where(unsafe, 1.0, b[1])
+    quotients = [_quotient(x, y) for x in a for y in under]
+    low = np.minimum(np.minimum(quotients[0][0], quotients[1][0]), np.minimum(quotients[2][0], quotients[3][0]))
+    high = np.maximum(np.maximum(quotients[0][1], quotients[1][1]), np.maximum(quotients[2][1], quotients[3][1]))
+    low, high = np.where(unsafe, -np.inf, low), np.where(unsafe, np.inf, high)
+    return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
+
+
+def _quotient(x: Array, y: Array) -> Ends:
+    exact = (x == 0) | (y == 1)
+    q = np.where(x == 0, 0.0, x / y)
+    return np.where(exact, q, down(q)), np.where(exact, q, up(q))
+
+
+def squared_root(a: Ends) -> Ends:
+    """Return √a for the nonnegative part of a."""
+    ends = [np.maximum(end, 0.0) for end in a]
+    exact = [(end == 0) | (end == 1) for end in ends]
+    low, high = map(np.sqrt, ends)
+    return np.where(exact[0], low, down(low)), np.where(exact[1], high, up(high))
+
+
+def hull_min(a: Ends, b: Ends) -> Ends:
+    """Return min(a, b)."""
+    return np.minimum(a[0], b[0]), np.minimum(a[1], b[1])
+
+
+def hull_max(a: Ends, b: Ends) -> Ends:
+    """Return max(a, b)."""
+    return np.maximum(a[0], b[0]), np.maximum(a[1], b[1])
+
+
+def magnitude(a: Ends) -> Ends:
+    """Return |a|."""
+    holds = (a[0] <= 0) & (a[1] >= 0)
+    ends = np.abs(a[0]), np.abs(a[1])
+    return np.where(holds, 0.0, np.minimum(*ends)), np.maximum(*ends)
+
+
+def cosine_and_sine(a: Ends) -> tuple[Ends, Ends, Flags]:
+    """Return cosine and sine of intervals, and whether they are known: the ends must lie within ±1000."""
     at_ends = [_at(end) for end in a]
-    first, last = np.ceil(a[0] / _QUARTER[0] - 1e-9), np.floor(a[1] / _QUARTER[0] + 1e-9)  # quarter turns inside
-    ranges_ = []
+    first, last = np.ceil(a[0] / _HEAD - 1e-6), np.floor(a[1] / _HEAD + 1e-6)  # quarter turns inside
+    ranges = []
     for both, crest in (([one[0] for one in at_ends], 0), ([one[1] for one in at_ends], 1)):
-        low, high = np.minimum(both[0][0], both[1][0]), np.maximum(both[0][1], both[1][1])
+        low, high = np.maximum(hull_min(*both)[0], -1.0), np.minimum(hull_max(*both)[1], 1.0)
         inside = [np.floor((last - k) / 4) >= np.ceil((first - k) / 4) for k in (crest, crest + 2)]
-        ranges_.append((np.where(inside[1], -1.0, low), np.where(inside[0], 1.0, high)))
-    return ranges_[0], ranges_[1]
+        ranges.append((np.where(inside[1], -1.0, low), np.where(inside[0], 1.0, high)))
+    return ranges[0], ranges[1], at_ends[0][2] & at_ends[1][2]
 
 
-def _at(x: Array) -> tuple[Ends, Ends]:
-    """Return bounds on cosine and sine of numbers within ±1000, by the series at r = x − k π/2 for a whole number k.
+def _at(x: Array) -> tuple[Ends, Ends, Flags]:
+    """Return bounds on cosine and sine of numbers, by the series at r = x − k π/2 for a whole number k, and where.
 
     With u = r² ≤ 1, cos r = 1 − u/(1·2) (1 − u/(3·4) (1 − …)) and sin r = r (1 − u/(2·3) (1 − u/(4·5) (1 − …))). Each
     parenthesis is an alternating series with decreasing terms, the first of which is 1; so it lies in [0, 1].
     """
-    k = np.rint(x / _QUARTER[0])
-    r = _sum((x, x), _minus(_times((k, k), _QUARTER)))
-    u = _raised(r, 2)
-    fine = (np.abs(x) <= 1000) & (u[1] <= 1)
-    bounds = []
+    fine = np.abs(x) <= _LARGEST_ANGLE
+    x = np.where(fine, x, 0.0)
+    k = np.rint(x / _HEAD)
+    rest = multiply(point(k), (np.full_like(x, _TAIL[0]), np.full_like(x, _TAIL[1])))
+    r = subtract(subtract(point(x), point(k * _HEAD)), rest)  # the product is exact
+    u, bounds = square(r), []
+    fine &= u[1] <= 1
     for begin in (1, 2):
-        low, high = np.where(fine, 0.0, np.nan), np.where(fine, 1.0, np.nan)
+        low, high = np.zeros_like(x), np.ones_like(x)
         for n in range(begin + 2 * _TERMS, 0, -2):
             low, high = (
-                _down(1 - _up(_up(u[1] * high) / (n * (n + 1)))),
-                _up(1 - _down(_down(u[0] * low) / (n * (n + 1)))),
+                down(1 - up(up(u[1] * high) / (n * (n + 1)))),
+                up(1 - down(down(u[0] * low) / (n * (n + 1)))),
             )
-        bounds.append((low, high))
-    cosine, sine = bounds[0], _times(r, bounds[1])
+        bounds.append((np.where(x == 0, 1.0, low), np.where(x == 0, 1.0, high)))  # equality is frequent there
+    cosine, sine = bounds[0], multiply(r, bounds[1])
     for turn in (1, 2):
         here, before = np.floor(k / turn) % 2 == 1, (cosine, sine)
-        cosine, sine = (_minus(sine), cosine) if turn == 1 else (_minus(cosine), _minus(sine))
+        turned = (negate(sine), cosine) if turn == 1 else (negate(cosine), negate(sine))
         cosine, sine = (
             (np.where(here, new[0], old[0]), np.where(here, new[1], old[1]))
-            for new, old in zip((cosine, sine), before, strict=True)
+            for new, old in zip(turned, before, strict=True)
         )
-    return cosine, sine
-
-
-def _function(
-    op: str, value: Fraction, args: list[tuple[Ends, list[Any]]], order: int, n: int
-) -> tuple[Ends, list[Any]]:
-    """Return the jet of a function of at most one argument, whose ranges `enclosure` computes."""
-    a = args[0] if args else ((np.zeros(1), np.zeros(1)), [None] * n)
-    shown = [_of_one(op, value, low, high, order) for low, high in zip(*(end.tolist() for end in a[0]), strict=True)]
-    columns = np.array(shown).T
-    return _chain(a, (columns[0], columns[1]), lambda: (columns[2], columns[3]))
-
-
-@lru_cache(8192)
-def _of_one(op: str, value: Fraction, low: float, high: float, order: int) -> tuple[float, float, float, float]:
-    """Return the range of a function on an interval, and with order 1 that of its slope."""
-    table, at = _table(op, value)
-    if not (np.isfinite(low) and np.isfinite(high)):
-        return (*_UNKNOWN, *_UNKNOWN)
-    try:
-        [jet] = enclose(table, [at], [(libmp.from_float(low), libmp.from_float(high))], order=order)
-    except Undefined:
-        return (*_UNKNOWN, *_UNKNOWN)
-    slope = jet.slope[0] if jet.slope else None
-    return (*_doubles(jet.value), *(_doubles(slope) if slope else (0.0, 0.0)))
-
-
-@cache
-def _table(op: str, value: Fraction) -> tuple[ExpressionTable, int]:
-    table = ExpressionTable(["t"])
-    return table, table.put(op, *((table.put("var"),) if op != "pi" else ()), value=value)
+    return cosine, sine, fine

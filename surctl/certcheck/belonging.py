@@ -66,6 +66,7 @@ _FORCE = re.compile("([YN][uvr]?[vru]|m12|m14|Y0|N0)")  # parameters of a vehicl
 _VECTORS = ("plant_state", "controller_state", "gains", "parameters", "reference", "disturbance")
 _PROVED = {
     "function", "level", "rate", "equilibrium", "radius", "inner", "gains", "initial", "unsafe", "multiplier", "stays",
+    "constant",
 }  # fmt: skip
 """Entries of a claim about dynamics that the certificate itself proves."""
 _DISTURBED = (
@@ -214,6 +215,8 @@ class _Comparison(Comparison):
             other = words if have and [*have] != values else ""
             if values:
                 self.excludes.append(f"{key}: it is assumed to be {', '.join(map(str, values))}{other}")
+        if self.claim.get("constant"):
+            self.excludes.append("parameters: each is assumed to be constant, at any value of its range")
         self.excludes += [_MODEL, ROUNDING[self.manifest.real]]
         if sampled:
             self.excludes.append("delay: the command is assumed to act at the instant of its sample")

@@ -64,7 +64,7 @@ def _text(x: Fraction) -> str:
 def upper(text: str) -> Fraction:
     """Return an upper bound with 12 decimals of an expression without variables."""
     table = ExpressionTable(())
-    sign, man, exp, _ = enclose(table, [table.read(text)], [])[0].value[1]
+    sign, man, exp, _ = enclose(table, [table.read(text)], [])[0][1]
     value = (-1) ** sign * Fraction(int(man)) * Fraction(2) ** int(exp)
     return Fraction(-(-value.numerator * _DIGITS // value.denominator), _DIGITS)
 

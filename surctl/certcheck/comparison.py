@@ -112,7 +112,7 @@ class Comparison:
             sides = enclose(table, roots, [span(row["lower"], row["upper"]) for row in variables])
         except Undefined:
             sides = []
-        scale = max((abs(libmp.to_float(end)) for side in sides for end in side.value), default=0.0)
+        scale = max((abs(libmp.to_float(end)) for side in sides for end in side), default=0.0)
         if not slack <= _ROUNDED * scale:
             self.differs.append(f"slack: {slack!r} {self.claim['unit']} is more than rounding")
 

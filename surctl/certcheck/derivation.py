@@ -4,10 +4,10 @@
 so the evaluation of a list gives one expression in real numbers for each output. Constants are exact, and operations of
 constants are computed. A comparison is an operation of its own until an operation selects by it.
 
-The exported code has its own sine, cosine, atan2 and arccosine, which its lists write out in basic operations. Wherever
-a value may begin such a formula, the formula for this value is put into the table; the instruction that completes it is
-then the function. The formulas agree with the functions up to a few units in the last place, which belong to the
-rounding of the code; sine and cosine do so for arguments up to 2^20.
+The exported code has its own sine, cosine, atan2, arccosine, exp, log and tanh, which its lists write out in basic
+operations. Wherever a value may begin such a formula, the formula for this value is put into the table; the instruction
+that completes it is then the function. The formulas agree with the functions up to a few units in the last place, which
+belong to the rounding of the code, for the arguments that `require_arguments` permits.
 """
 
 from __future__ import annotations
@@ -20,12 +20,11 @@ from itertools import product
 from typing import Any, TypeAlias
 
 import numpy as np
-from mpmath import libmp
 from numpy.typing import NDArray
 
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.elementary import BITS, Interval
-from surctl.certcheck.enclosure import enclose
+from surctl.certcheck.elementary import Interval
+from surctl.certcheck.enclosure import enclose, outward
 from surctl.certcheck.expressions import BRANCHES, ExpressionTable
 from surctl.certcheck.identity import Exact
 from surctl.certcheck.instructions import Numbers
@@ -59,8 +58,24 @@ _ARCTANGENT = (
     "0x1.3b126143b5cbcp-4 -0x1.10fa5ee9ab25cp-4 0x1.dfe49b2919c4ep-5 -0x1.a090d1950d2b4p-5 0x1.41495cefb6c73p-5 "
     "-0x1.39f38ad451ea6p-6"
 )
+_EXPONENTIAL = (
+    "0x1.0000000000001p-1 0x1.5555555555556p-3 0x1.5555555553d63p-5 0x1.11111111109b3p-7 0x1.6c16c1788bd90p-10 "
+    "0x1.a01a01a7c41d5p-13 0x1.a019b90d2ae7ap-16 0x1.71de0dae63bb3p-19 0x1.289185613a3d6p-22 0x1.af38a9b0ec855p-26"
+)
+_LOGARITHM = (
+    "0x1.5555555555558p-2 0x1.99999999952d7p-3 0x1.2492492df281ap-3 0x1.c71c62e3f11e6p-4 0x1.7462b51cb66b1p-4 "
+    "0x1.39fe51a7c18f9p-4 0x1.2b5900de53b32p-4"
+)
+_LN_2, _BY_LN_2 = "0x1.62ep-1 0x1.0bfp-15 0x1.7d1cf79abc9e4p-28", "0x1.71547652b82fep+0"
+_EXPONENTS = [2**bit for bit in reversed(range(10))]  # of a power of two, from bits
+_LARGEST_EXPONENT, _LEAST, _SCALE, _CUT = 1023.0, 2.0**-1022, 54, 80.0
 _HALF_PI = "0x1.921p+0 0x1.f6ap-13 0x1.110b4611p-26 0x1.4c4c6628b80dcp-59"
 _TWO_BY_PI, _TAN_PI_8, _LARGEST = "0x1.45f306dc9c883p-1", "0x1.a827999fcef34p-2", 2.0**20
+_ARGUMENTS = {
+    **dict.fromkeys(("sin", "cos", "tan"), (-_LARGEST, _LARGEST)),
+    **dict.fromkeys(("exp", "sinh", "cosh"), (-87.0, 87.0)),
+    **dict.fromkeys(("log", "powr"), (2.0**-126, 2.0**127)),
+}  # where the formulas are the functions, also in float
 _BITS = 65_536  # most bits of an exact number
 _BY_ROUNDING = "an instruction list selects by rounding how it goes on: no expression is derived"
 
@@ -128,7 +143,21 @@ class Derivation(Numbers):
                 below = self.table.entries[self.table.entries[y].args[0]]
                 if below.op == "sub":
                     self._await("acos", below.args[1])
+            if self._is(y, _LEAST):
+                self._await("log", x)
+        elif entry.op == "min":  # the first instruction of exp and of tanh
+            for x, limit in (entry.args, entry.args[::-1]):
+                if self._is(limit, _LARGEST_EXPONENT):
+                    self._await("exp", x)
+                elif self._is(limit, _CUT) and self._op(x) == "mul":
+                    factors = self.table.entries[x].args
+                    for half in (a for a, b in (factors, factors[::-1]) if self._is(b, -2.0)):
+                        self._await("tanh", half)
         return self._functions.get(at, at)
+
+    def _is(self, at: int, value: float) -> bool:
+        entry = self.table.entries[at]
+        return entry.op == "num" and entry.value == Fraction(value)
 
     def _with_size(self, at: int) -> tuple[int, ...]:
         """Return what a value may be the absolute value of."""
@@ -303,6 +332,47 @@ class Derivation(Numbers):
         do = self._do
         return do("twice", self._quarter(do("sqrt", do("sub", 1.0, x)), do("sqrt", do("add", x, 1.0))))
 
+    def _exp(self, x: int) -> int:
+        do, most = self._do, _LARGEST_EXPONENT
+        r = do("fmax", do("fmin", x, most), -most)
+        k = do("floor", do("add", do("mul", r, _BY_LN_2), 0.5))
+        for part in _LN_2.split():
+            r = do("sub", r, do("mul", k, part))
+        value = do("add", do("add", do("mul", do("sq", r), self._polynomial(r, _EXPONENTIAL)), r), 1.0)
+        left, scale = do("fmin", do("fabs", k), most), self._num(1)
+        for size in _EXPONENTS:
+            has = do("le", float(size), left)
+            left = do("sub", left, do("if_else_zero", has, float(size)))
+            scale = do("mul", scale, do("select", has, 2.0**size, 1.0))
+        value = do("mul", value, do("select", do("lt", k, 0.0), do("inv", scale), scale))
+        return do("select", do("lt", most, k), math.inf, do("select", do("lt", k, 2.0 - most), 0.0, value))
+
+    def _log(self, x: int) -> int:
+        do = self._do
+        tiny = do("lt", x, _LEAST)
+        m = do("select", tiny, do("mul", x, 2.0**_SCALE), x)
+        low, e = do("lt", m, 1.0), self._num(0)
+        for size in _EXPONENTS:
+            scaled = do("mul", m, do("select", low, 2.0**size, 2.0**-size))
+            has = do("eq", do("lt", scaled, 1.0), low)
+            m, e = do("select", has, scaled, m), do("add", e, do("if_else_zero", has, float(size)))
+        e = do("select", low, do("neg", e), e)
+        high, deep = do("lt", math.sqrt(2.0), m), do("lt", m, math.sqrt(0.5))
+        m = do("select", high, do("mul", m, 0.5), do("select", deep, do("twice", m), m))
+        e = do("sub", do("add", e, high), do("add", deep, do("if_else_zero", tiny, float(_SCALE))))
+        s = do("div", do("sub", m, 1.0), do("add", m, 1.0))
+        z = do("sq", s)
+        value = do("twice", do("add", s, do("mul", do("mul", s, z), self._polynomial(z, _LOGARITHM))))
+        for part in _LN_2.split()[::-1]:
+            value = do("add", value, do("mul", e, part))
+        value = do("select", do("lt", x, math.inf), value, x)
+        value = do("select", do("eq", x, 0.0), -math.inf, value)
+        return do("select", do("lt", x, 0.0), do("sqrt", x), value)
+
+    def _tanh(self, x: int) -> int:
+        e = self.table.put("exp", self._do("fmin", self._do("mul", x, -2.0), _CUT))
+        return self._do("sub", self._do("div", 2.0, self._do("add", e, 1.0)), 1.0)
+
     # ---- comparison
 
     def equal(self, first: int, second: int) -> bool:
@@ -320,10 +390,29 @@ class Derivation(Numbers):
             args = [place[a] for a in entry.args]
             if entry.op in BRANCHES:
                 args = [self._first(a) for a in args]
-            place[at] = self.table.put(
-                entry.op, *(sorted(args) if entry.op in ("min", "max") else args), value=entry.value
+            plain = self._plain(entry.op, args, entry.value)
+            place[at] = (
+                self.table.put(entry.op, *(sorted(args) if entry.op in ("min", "max") else args), value=entry.value)
+                if plain is None
+                else plain
             )
         return place[root]
+
+    def _plain(self, op: str, args: Sequence[int], value: Fraction) -> int | None:
+        """Return a function that instruction lists write by others, written so; None for any other operation."""
+        put = self._put
+        match op, args:
+            case "tan", [x]:
+                return put("div", put("sin", x), put("cos", x))
+            case "asin", [x]:
+                square = put("mul", put("sub", self._num(1), x), put("add", self._num(1), x))
+                return put("atan2", x, put("sqrt", square))
+            case "sinh" | "cosh", [x]:
+                e = put("exp", x)
+                return put("mul", put("sub" if op == "sinh" else "add", e, put("inv", e)), self._num(Fraction(1, 2)))
+            case "powr", [x]:
+                return put("exp", put("mul", self._num(value), put("log", x)))
+        return None
 
     def _first(self, at: int) -> int:
         known = next((known for known in self._same if self._alike(at, known)), None)
@@ -331,13 +420,16 @@ class Derivation(Numbers):
             self._same.append(at)
         return at if known is None else known
 
-    def require_angles(self, roots: Sequence[int], box: Sequence[Interval]) -> None:
-        """Raise Rejected unless the code has the sines and cosines in these expressions on a box.
+    def require_arguments(self, roots: Sequence[int], box: Sequence[Interval]) -> None:
+        """Raise Rejected unless the code has the sines, cosines, exp and log in these expressions on a box.
 
         Raises:
             Undefined: an argument is not defined on the whole box.
         """
         entries = [self.table.entries[at] for at in self.table.needed(roots)]
-        for jet in enclose(self.table, [e.args[0] for e in entries if e.op in ("sin", "cos")], box):
-            if not libmp.mpf_le(libmp.mpi_abs(jet.value, BITS)[1], libmp.from_float(_LARGEST)):
-                raise Rejected("the code has no sine or cosine of an argument beyond 2^20")
+        limited = [e for e in entries if e.op in _ARGUMENTS]
+        for entry, value in zip(limited, enclose(self.table, [e.args[0] for e in limited], box), strict=True):
+            low, high = outward(value)
+            least, most = _ARGUMENTS[entry.op]
+            if not least <= low <= high <= most:
+                raise Rejected(f"the code has no {entry.op} of an argument beyond {least:g} to {most:g}")

@@ -1,4 +1,4 @@
-"""Derivatives and substitution in the checker's table of expressions."""
+"""Derivatives, substitution and branches of expressions in the checker's table."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.expressions import BRANCHES, ExpressionTable
 from surctl.certcheck.patience import go_on
 
-__all__ = ["along", "composed"]
+__all__ = ["along", "branched", "branches_of", "composed"]
 
 
 def along(table: ExpressionTable, root: int, rates: Sequence[int]) -> int:
@@ -82,3 +82,45 @@ def composed(table: ExpressionTable, root: int, successors: Mapping[int, int]) -
         return successors.get(entry.value.numerator) if entry.op == "var" else None
 
     return table.rewritten([root], change)[0]
+
+
+def branches_of(table: ExpressionTable, roots: Sequence[int]) -> list[int]:
+    """Return the distinct abs, max, min and select entries of expressions, in the order in which they occur."""
+    met, visited, waiting = list[int](), set[int](), list(reversed(roots))
+    while waiting:
+        at = waiting.pop()
+        if at not in visited:
+            visited.add(at)
+            entry = table.entries[at]
+            if entry.op in BRANCHES:
+                met.append(at)
+            waiting += reversed(entry.args)
+    return met
+
+
+def branched(table: ExpressionTable, roots: Sequence[int], picked: Mapping[int, str]) -> tuple[list[int], list[int]]:
+    """Return expressions after a choice for branches, and expressions that are ≤ 0 where the choice holds.
+
+    Args:
+        table: the table.
+        roots: the expressions.
+        picked: "0" or "1", the first or the second operand, for some of the entries of `branches_of`.
+    """
+    if not picked:
+        return list(roots), []
+    put, conditions = table.put, dict[int, int]()
+
+    def change(at: int, args: tuple[int, ...]) -> int | None:
+        if at not in picked:
+            return None
+        entry, second = table.entries[at], picked[at] == "1"
+        if entry.op == "abs":
+            conditions[at] = args[0] if second else put("neg", args[0])
+            return put("neg", args[0]) if second else args[0]
+        a, b = args[:2]
+        first_is_less = entry.op != "max"
+        conditions[at] = put("sub", b, a) if second == first_is_less else put("sub", a, b)
+        return args[len(args) // 2 + second] if entry.op == "select" else args[int(second)]
+
+    chosen = table.rewritten(roots, change)
+    return chosen, [conditions[at] for at in picked]

@@ -47,7 +47,7 @@ def _values(table: ExpressionTable, roots: Sequence[int], box: list[Interval]) -
     values = []
     for root in roots:
         try:
-            values.append(enclose(table, [root], box)[0].value)
+            values.append(enclose(table, [root], box)[0])
         except Undefined:
             continue
     return values

@@ -18,42 +18,30 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
+from functools import cached_property
 from typing import Any
 
+import numpy as np
 from mpmath import libmp
 
-from surctl.certcheck.arrays import TOGETHER, proved_together
+from surctl.certcheck.arrays import Ends, Flags, decimals, has_gradual_underflow
+from surctl.certcheck.derivative import branched, branches_of, composed
 from surctl.certcheck.document import Rejected, listed, number, record
 from surctl.certcheck.elementary import BITS, pi
-from surctl.certcheck.enclosure import (
-    Interval,
-    Jet,
-    Undefined,
-    above,
-    decimal,
-    enclose,
-    exact,
-    greatest,
-    is_zero,
-    mul,
-    over,
-    plus,
-    rational,
-    span,
-)  # fmt: skip
-from surctl.certcheck.expressions import BRANCHES, ExpressionTable
+from surctl.certcheck.enclosure import Interval, Undefined, above, enclose, greatest, mul, plus, rational, span
+from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact, Fraction_, Sum
+from surctl.certcheck.jets import Tape
 from surctl.certcheck.patience import go_on
+from surctl.certcheck.rules import DIMENSIONS, Rules
 from surctl.certcheck.squares import Claimed, check_squares
 
 __all__ = ["DIMENSIONS", "Box", "Inequality", "halves", "listed", "number"]
 
-DIMENSIONS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
-"""The letters and digits that name the variables of a claim in a tree."""
-
 _CASE = {"choice", "numerator", "denominators", "multipliers"}
 _MOST_BRANCHES = 12
 _DEEPEST = 10_000  # largest number of boxes that wait to be checked
+_TOGETHER, _MOST = 512, 500_000  # boxes that are checked together, and most intervals in the arrays of an expression
 
 Box = list[tuple[float, float]]
 
@@ -80,36 +68,22 @@ class Inequality:
     ) -> None:
         self.expressions, self.box, self.slack = expressions, box, slack
         self.normal = Exact(expressions) if normal is None else normal
-        self.parts = self._substituted(parts)
-        self.everywhere = self.defined(box)
+        ends = (Fraction(repr(low)) if low == high else None for low, high in box)
+        fixed = {k: expressions.put("num", value=end) for k, end in enumerate(ends) if end is not None}
+        self.parts = [composed(expressions, part, fixed) for part in parts] if fixed else list(parts)
+        self.everywhere = expressions.total(self.parts) or self._is_defined()
 
-    def _substituted(self, roots: Sequence[int]) -> list[int]:
-        """Replace each variable whose range has zero width by its decimal number."""
-        if all(low < high for low, high in self.box):
-            return list(roots)
-
-        def change(at: int, _: tuple[int, ...]) -> int | None:
-            entry = self.expressions.entries[at]
-            if entry.op != "var":
-                return None
-            low, high = self.box[entry.value.numerator]
-            return self.expressions.put("num", value=Fraction(repr(low))) if low == high else None
-
-        return self.expressions.rewritten(roots, change)
-
-    def defined(self, box: Box) -> bool:
+    def _is_defined(self) -> bool:
         """Return whether left, right and the constraints are defined everywhere on the box."""
-        if self.expressions.total(self.parts):
-            return True
         try:
-            enclose(self.expressions, self.parts, [span(*ends) for ends in box])
+            enclose(self.expressions, self.parts, [span(*ends) for ends in self.box])
         except Undefined:
             return False
         return True
 
     def check(self, cases: Sequence[Mapping[str, Any]]) -> None:
         """Raise Rejected unless the cases prove the inequality."""
-        branches = self._branches()
+        branches = branches_of(self.expressions, self.parts)
         choices = [case["choice"] for case in cases]
         if choices != [""]:
             if len(branches) > _MOST_BRANCHES:
@@ -123,24 +97,11 @@ class Inequality:
             picked = dict(zip(branches, case["choice"], strict=True)) if case["choice"] else {}
             _Case(self, case, picked).check()
 
-    def _branches(self) -> list[int]:
-        """Return the distinct abs, max, min and select entries: of the left side, the right side, the constraints."""
-        met, visited, waiting = list[int](), set[int](), list(reversed(self.parts))
-        while waiting:
-            at = waiting.pop()
-            if at not in visited:
-                visited.add(at)
-                entry = self.expressions.entries[at]
-                if entry.op in BRANCHES:
-                    met.append(at)
-                waiting += reversed(entry.args)
-        return met
-
 
 class _Case:
     def __init__(self, claim: Inequality, case: Mapping[str, Any], picked: Mapping[int, str]) -> None:
         self.claim, self.expressions = claim, claim.expressions
-        chosen, conditions = self._chosen(picked)
+        chosen, conditions = branched(self.expressions, claim.parts, picked)
         self.margin = self.expressions.put("sub", chosen[0], chosen[1])
         self.constraints = [*chosen[2:], *conditions]
         stated = case["numerator"]
@@ -152,34 +113,13 @@ class _Case:
         if not isinstance(self.tree, str):
             raise Rejected("the division of the box ('tree') is not a text")
 
-    def _chosen(self, picked: Mapping[int, str]) -> tuple[list[int], list[int]]:
-        """Return the claim's expressions after all choices, and expressions that are ≤ 0 where the choices hold."""
-        if not picked:
-            return list(self.claim.parts), []
-        put, conditions = self.expressions.put, dict[int, int]()
-
-        def change(at: int, args: tuple[int, ...]) -> int | None:
-            if at not in picked:
-                return None
-            entry, second = self.expressions.entries[at], picked[at] == "1"
-            if entry.op == "abs":
-                conditions[at] = args[0] if second else put("neg", args[0])
-                return put("neg", args[0]) if second else args[0]
-            a, b = args[:2]
-            first_is_less = entry.op != "max"
-            conditions[at] = put("sub", b, a) if second == first_is_less else put("sub", a, b)
-            return args[len(args) // 2 + second] if entry.op == "select" else args[int(second)]
-
-        chosen = self.expressions.rewritten(self.claim.parts, change)
-        return chosen, [conditions[at] for at in picked]
-
     def check(self) -> None:
         root = [span(*ends) for ends in self.claim.box]
-        for jet in enclose(self.expressions, self.denominators, root):
-            if not above(jet.value):
+        for value in enclose(self.expressions, self.denominators, root):
+            if not above(value):
                 raise Rejected("a denominator is not positive on the whole box")
-        for jet in enclose(self.expressions, self.multipliers, root):
-            if libmp.mpf_lt(jet.value[0], libmp.fzero):
+        for value in enclose(self.expressions, self.multipliers, root):
+            if libmp.mpf_lt(value[0], libmp.fzero):
                 raise Rejected("a multiplier may be negative")
         self._identity()
         if "squares" in self.case:
@@ -238,7 +178,7 @@ class _Case:
             at = DIMENSIONS.find(letter)
             if at < 0:
                 leaves.append((letter, box))
-                if len(leaves) == TOGETHER:
+                if len(leaves) == _TOGETHER:
                     self._decide(leaves)
                     leaves = []
                 continue
@@ -251,113 +191,50 @@ class _Case:
             raise Rejected("the tree does not cover the box")
         self._decide(leaves)
 
+    @cached_property
+    def _rules(self) -> Rules:
+        bound = Tape(self.expressions, (self.numerator, *self.denominators))
+        return Rules(bound, Tape(self.expressions, tuple(self.constraints)), self.claim.slack, decimals)
+
     def _decide(self, leaves: Sequence[tuple[str, Box]]) -> None:
-        """Check leaves: all of them in arrays of doubles, then one by one those that this leaves open."""
-        numerator = self.numerator if self.claim.everywhere else None
-        quick = proved_together(self.expressions, numerator, self.constraints, leaves)
-        for (rule, box), done in zip(leaves, quick, strict=True):
-            if not done:
-                self._leaf(rule, box)
+        """Raise Rejected unless each leaf, a rule and a box, is shown."""
+        if not has_gradual_underflow():
+            raise Rejected("this processor replaces denormal numbers by 0, so that no box can be checked")
+        letters, order = np.array([rule for rule, _ in leaves]), {"i": 0, "n": 0, "j": 1, "m": 1, "c": 2}
+        for rule in dict.fromkeys(letters.tolist()):
+            if rule not in order:
+                raise Rejected(f"{rule!r} is not a rule for a box")
+            among = np.flatnonzero(letters == rule)
+            operations = len(self._rules.bound.needed) + len(self._rules.constraints.needed)
+            step = max(1, _MOST // (operations * (len(self.claim.box) + 1) ** order[rule]))
+            for begin in range(0, len(among), step):
+                part = among[begin : begin + step].tolist()
+                low, high = np.array([leaves[k][1] for k in part]).transpose(2, 1, 0)
+                shown = self._shown(rule, (low, high))
+                if not shown.all():
+                    box = leaves[part[int(np.argmin(shown))]][1]
+                    raise Rejected(f"rule {rule!r} does not decide a box: {_box_text(box)}")
 
-    def _leaf(self, rule: str, box: Box) -> None:
-        wide = [span(*ends) for ends in box]
-        if rule == "i":
-            good = any(self._excluded(c, wide, None) for c in self.constraints)
-        elif rule == "j":
-            good = any(self._excluded(c, wide, box) for c in self.constraints)
-        elif rule in ("n", "m", "c"):
-            if not (self.claim.everywhere or self.claim.defined(box)):
-                raise Rejected(f"the claim is not defined everywhere on a box: {_box_text(box)}")
-            good = {"n": self._natural, "m": self._mean, "c": self._tangent}[rule](box, wide)
-        else:
-            raise Rejected(f"{rule!r} is not a rule for a box")
-        if not good:
-            raise Rejected(f"rule {rule!r} does not decide a box: {_box_text(box)}")
-
-    def _excluded(self, constraint: int, wide: list[Interval], box: Box | None) -> bool:
-        """Return whether a constraint is positive on the whole box, by its range or by its mean-value form."""
-        try:
-            jet = enclose(self.expressions, [constraint], wide, order=0 if box is None else 1)[0]
-            if box is None:
-                return above(jet.value)
-            centre = [_middle(*ends) for ends in box]
-            return above(self._linear(constraint, jet, box, centre))
-        except Undefined:
-            return False
-
-    def _linear(self, at: int, jet: Jet, box: Box, centre: Sequence[float]) -> Interval:
-        """Return the expression's range on the box by the mean-value form: value at the centre + slopes · offsets."""
-        total = enclose(self.expressions, [at], [exact(c) for c in centre])[0].value
-        for slope, (low, high), c in zip(jet.slope or [], box, centre, strict=True):
-            if slope is not None:
-                total = plus(total, mul(slope, libmp.mpi_sub(span(low, high), exact(c), BITS)))
-        return total
-
-    def _small(self, value: Interval, wide: list[Interval]) -> bool:
-        """Return whether the range `value` is ≤ slack · Π denominators."""
-        bound = decimal(self.claim.slack)
-        if self.claim.slack:
-            for jet in enclose(self.expressions, self.denominators, wide):
-                bound = mul(bound, jet.value)
-        return bool(libmp.mpf_le(value[1], bound[0]))
-
-    def _natural(self, _: Box, wide: list[Interval]) -> bool:
-        return self._small(enclose(self.expressions, [self.numerator], wide)[0].value, wide)
-
-    def _face(self, box: Box, wide: list[Interval]) -> tuple[Jet, Box, list[bool]]:
-        """Return the slopes on the box, the box's face that has the maximum, and which variables vary on the face."""
-        jet = enclose(self.expressions, [self.numerator], wide, order=1)[0]
-        face, free = Box(), []
-        for slope, (low, high) in zip(jet.slope or [], box, strict=True):
-            if slope is None or libmp.mpf_ge(slope[0], libmp.fzero):
-                face.append((high, high))
-            elif libmp.mpf_le(slope[1], libmp.fzero):
-                face.append((low, low))
-            else:
-                face.append((low, high))
-            free.append(face[-1][0] < face[-1][1])
-        return jet, face, free
-
-    def _mean(self, box: Box, wide: list[Interval]) -> bool:
-        jet, face, _ = self._face(box, wide)
-        if self._small(enclose(self.expressions, [self.numerator], [span(*e) for e in face])[0].value, wide):
-            return True
-        centre = [_middle(*ends) for ends in face]
-        return self._small(self._linear(self.numerator, jet, face, centre), wide)
-
-    def _tangent(self, box: Box, wide: list[Interval]) -> bool:
-        """Return whether the numerator is concave and a tangent is small enough on the face that has the maximum."""
-        _, face, free = self._face(box, wide)
-        point = [number(x) for x in listed(self.points.pop())]
-        if len(point) != len(face) or any(not low <= x <= high for x, (low, high) in zip(point, face, strict=True)):
+    def _shown(self, rule: str, box: Ends) -> Flags:
+        """Return on which boxes (n, B) a rule holds."""
+        if rule in "ij":
+            return self._rules.outside(box) if rule == "i" else self._rules.outside_by_slopes(box)[0]
+        if not self.claim.everywhere:
+            written = Tape(self.expressions, tuple(self.claim.parts))
+            defined = np.logical_and.reduce(written.run(decimals(*box)).defined)
+            if not defined.all():
+                where = [*zip(*(end[:, int(np.argmin(defined))].tolist() for end in box), strict=True)]
+                raise Rejected(f"the claim is not defined everywhere on a box: {_box_text(where)}")
+        if rule == "n":
+            return self._rules.natural(box)
+        if rule == "m":
+            return self._rules.by_slopes(box)[0]
+        face, _ = self._rules.face(box)
+        points = [[number(x) for x in listed(self.points.pop())] for _ in face.defined]
+        fitting = all(len(point) == len(face.low) for point in points)
+        if not (fitting and np.all((points >= face.low.T) & (points <= face.high.T))):
             raise Rejected("a tangent point does not lie in its box")
-        bend = enclose(self.expressions, [self.numerator], [span(*e) for e in face], order=2)[0].bend
-        if not _bends_down(bend or [], free):
-            return False
-        # a variable at its worse end may be the double or its decimal; the free variables are concave for both
-        touching = [exact(x) if is_free else span(*e) for x, is_free, e in zip(point, free, face, strict=True)]
-        at = enclose(self.expressions, [self.numerator], touching, order=1)[0]
-        total = at.value
-        for slope, is_free, e, x in zip(at.slope or [], free, face, point, strict=True):
-            if is_free and slope is not None:
-                total = plus(total, mul(slope, libmp.mpi_sub(span(*e), exact(x), BITS)))
-        return self._small(total, wide)
-
-
-def _bends_down(bend: list[list[Interval]], free: list[bool]) -> bool:
-    """Return whether minus the Hessian `bend`, without zero rows, is positive definite in the variables `free`."""
-    among = [k for k, is_free in enumerate(free) if is_free]
-    keep = [k for k in among if not all(bend[k][j] is None or is_zero(bend[k][j]) for j in among)]
-    m = [[None if bend[i][j] is None else libmp.mpi_neg(bend[i][j]) for j in keep] for i in keep]
-    for k in range(len(keep)):
-        pivot = m[k][k]
-        if pivot is None or not above(pivot):
-            return False
-        for i in range(k + 1, len(keep)):
-            for j in range(k + 1, len(keep)):
-                product = mul(over(m[i][k], pivot), m[k][j])
-                m[i][j] = m[i][j] if product is None else plus(m[i][j], libmp.mpi_neg(product))
-    return True
+        return self._rules.concave(face) & self._rules.tangent(face, np.array(points).T)
 
 
 def _range(poly: Sum, exactly: Exact, box: Box) -> Interval:
@@ -383,7 +260,7 @@ def _atom_range(atom: str, exactly: Exact, box: Box) -> Interval:
     if atom[:5] in ("acos{", "atan2"):
         return span(-3.2, 3.2)
     if atom in exactly.entry_of:
-        return enclose(exactly.expressions, [exactly.entry_of[atom]], [span(*ends) for ends in box])[0].value
+        return enclose(exactly.expressions, [exactly.entry_of[atom]], [span(*ends) for ends in box])[0]
     raise Rejected("the sign of a denominator under a root cannot be checked")
 
 

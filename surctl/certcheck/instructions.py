@@ -62,6 +62,7 @@ _OPERATIONS: Mapping[str, tuple[int, Callable[..., Any]]] = {
     "cos": (1, np.cos),
     "atan2": (2, np.arctan2),
     "acos": (1, np.arccos),
+    **{name: (1, getattr(np, name)) for name in ("tan", "exp", "log", "tanh")},
 }
 """Number of operands and function of each operation; a comparison is 1 or 0, and a number is true if it is not 0."""
 

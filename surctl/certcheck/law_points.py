@@ -172,7 +172,7 @@ def values_at(names: Sequence[str], points: Array, texts: Mapping[str, str]) -> 
             values = enclose(table, roots, [rational(Fraction(x)) for x in point.tolist()])
         except Undefined as reason:
             raise Rejected(f"a text is not defined at a point: {reason}") from None
-        rows.append([middle(value.value) for value in values])
+        rows.append([middle(value) for value in values])
     return dict(zip(texts, np.array(rows).T, strict=True))
 
 

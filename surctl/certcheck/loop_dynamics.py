@@ -14,18 +14,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from math import inf, nextafter
 from typing import Any, TypeAlias
 
 import numpy as np
-from mpmath import libmp
 from numpy.typing import NDArray
 
 from surctl.certcheck.bundle import Listed, Port
 from surctl.certcheck.derivation import Derivation
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.elementary import Undefined
-from surctl.certcheck.enclosure import enclose, middle, rational, span
+from surctl.certcheck.enclosure import enclose, middle, outward, rational, span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.inequality import Box
 from surctl.certcheck.instructions import read_list
@@ -109,7 +107,7 @@ def compare_dynamics(
         raise Rejected("an instruction list computes with infinity: no expression is derived")
     stated = {name: table.read(text) for name, text in texts.items()}
     spans = [span(*ends) for ends in box]
-    whole += [_outward(jet.value) for jet in enclose(table, [stated[name] for name in commands], spans)]
+    whole += [outward(value) for value in enclose(table, [stated[name] for name in commands], spans)]
     differs, unknown = list[str](), list[str]()
     for entry, root in zip(entries, roots, strict=True):
         if isinstance(entry, str):
@@ -124,13 +122,8 @@ def compare_dynamics(
         error = rounding_error(table, root, whole, derived.constants)
         if not error <= (SHARE * _largest(table, root, whole) or _RESTS):
             unknown.append(f"{what}: the rounding of the code may change it by {error:.3g}")
-    derived.require_angles(roots, [span(*ends) for ends in whole])
+    derived.require_arguments(roots, [span(*ends) for ends in whole])
     return differs, unknown
-
-
-def _outward(interval: Any) -> tuple[float, float]:
-    low, high = map(libmp.to_float, interval)
-    return nextafter(low, -inf), nextafter(high, inf)
 
 
 def _unequal(derived: Derivation, claimed: int, root: int, box: Box, slack: float) -> str:
@@ -141,7 +134,7 @@ def _unequal(derived: Derivation, claimed: int, root: int, box: Box, slack: floa
             if not slack:
                 return "it is not shown to be the expression of the instruction lists"
             (rate,) = enclose(table, [root], [span(*ends) for ends in box])
-            if not max(map(abs, _outward(rate.value))) <= slack:
+            if not max(map(abs, outward(rate))) <= slack:
                 return "it is not shown to be 0"
         require_defined(table, [root], box)
     except (Rejected, Undefined) as reason:
@@ -156,7 +149,7 @@ def _apart(table: ExpressionTable, claimed: int, root: int, box: Box, slack: flo
     for point in low + (high - low) * rng.random((_POINTS, len(box))):
         at = [rational(Fraction(x)) for x in point.tolist()]
         try:
-            first, second = (middle(jet.value) for jet in enclose(table, [claimed, root], at))
+            first, second = map(middle, enclose(table, [claimed, root], at))
         except Undefined:
             continue
         if not abs(first - second) <= max(slack, _SLACK * abs(second)):
@@ -170,7 +163,7 @@ def _largest(table: ExpressionTable, root: int, box: Box) -> float:
     rng, largest = np.random.default_rng(22), 0.0
     low, high = np.array(box).T
     for point in low + (high - low) * rng.random((_FEW, len(box))):
-        value = enclose(table, [root], [rational(Fraction(x)) for x in point.tolist()])[0].value
+        value = enclose(table, [root], [rational(Fraction(x)) for x in point.tolist()])[0]
         largest = max(largest, abs(middle(value)))
     return largest
 

@@ -21,7 +21,8 @@ The change of V (`change`) is compared with the one that the checker computes fr
 A certificate whose V is a quadratic form about the equilibrium may state `slopes` in the place of all these proofs,
 with feedbacks of the limits or none; then `surctl.certcheck.slopes` decides. Only such a claim may have a `radius` of
 each coordinate: the equilibrium lies within these radii of the stated point, about which Ω is, and the rate is that of
-V about the equilibrium. If parameters vary in time, solutions converge to the box of the radii instead.
+V about the equilibrium. If parameters vary in time, solutions converge to the box of the radii instead. A claim with
+radii may be about constant parameters only (`constant`), each with its own equilibrium.
 
 `surctl.certcheck.sampled` decides about a plant under a sampled controller.
 """
@@ -36,7 +37,7 @@ from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.inequality import listed, number
 from surctl.certcheck.motion import Motion, Obligation, check_all, decimal_text, read_motion, rest_of
-from surctl.certcheck.radii import read_radii
+from surctl.certcheck.radii import narrowed, read_constant, read_radii, widened
 from surctl.certcheck.region_exact import inverse
 from surctl.certcheck.sampled import check as check_sampled
 from surctl.certcheck.slopes import Decrease, check_decrease, quadratic_form, require_in_box
@@ -82,10 +83,10 @@ def _check_slopes(document: Mapping[str, Any], motion: Motion) -> None:
     if claim["rate"] is not None:
         _rate(claim["rate"], motion)
         rate = Fraction(repr(claim["rate"]))
-    gains, constant, radii = dict[str, Fraction](), Fraction(0), list[Fraction]()
+    gains, constant, radii, fixed = dict[str, Fraction](), Fraction(0), list[Fraction](), False
     if claim["property"] == "stability":
-        record(claim, _MOTION | {"equilibrium"} | claim.keys() & {"radius"}, "claim")
-        radii = read_radii(claim, motion.states)
+        record(claim, _MOTION | {"equilibrium"} | claim.keys() & {"radius", "constant"}, "claim")
+        radii, fixed = read_radii(claim, motion.states), read_constant(claim)
         centre = [rest_of(value)[1] for value in _equilibrium(motion, claim["equilibrium"])]
     elif claim["property"] == "bound":
         gains, constant = _gains(claim, motion), rate * Fraction(repr(number(claim["inner"])))
@@ -93,11 +94,12 @@ def _check_slopes(document: Mapping[str, Any], motion: Motion) -> None:
     else:
         raise Rejected(f"the property {claim['property']!r} is not known")
     p = quadratic_form(motion.states, claim["function"], centre)
-    require_in_box(inverse(p), centre, level, motion.state_box)
+    own, wide = (narrowed(motion.state_box, radii), widened(p, level, radii)) if fixed else (motion.state_box, level)
+    require_in_box(inverse(p), centre, wide, own)
     if not motion.discrete:
         table = ExpressionTable(motion.names)
         motion.require_continuous(table, [table.read(text) for text in motion.rates], "the dynamics contain")
-    needed = Decrease(p, centre, level, rate, gains, constant, radii)
+    needed = Decrease(p, centre, level, rate, gains, constant, radii, fixed)
     check_decrease(motion.names, motion.box, motion.rates, needed, discrete=motion.discrete, feedbacks=feedbacks)
 
 

@@ -122,7 +122,7 @@ class Motion:
                 raise Rejected(f"{what} select, which may jump")
             if entry.op == "atan2":
                 try:
-                    y, x = (jet.value for jet in enclose(table, entry.args, wide))
+                    y, x = enclose(table, entry.args, wide)
                 except Undefined as reason:
                     raise Rejected(f"{what} an atan2 that may be undefined in the box: {reason}") from None
                 if not (above(x) or above(y) or libmp.mpf_lt(y[1], libmp.fzero)):
@@ -144,7 +144,7 @@ class Motion:
             raise Rejected("the equilibrium does not lie inside the box")
         own = self._of_states
         try:
-            value = enclose(own, [own.read(function)], [rational(x) for x in at])[0].value
+            value = enclose(own, [own.read(function)], [rational(x) for x in at])[0]
         except Undefined as reason:
             raise Rejected(f"the function is not defined at the equilibrium: {reason}") from None
         if not libmp.mpf_lt(value[1], decimal(number(level))[0]):

@@ -57,14 +57,14 @@ def rounding_error(table: ExpressionTable, root: int, box: Box, constants: Mappi
 def _error(table: ExpressionTable, root: int, box: Box, constants: Mapping[int, float]) -> float:
     needed = table.needed([root])
     try:
-        jets = enclose(table, needed, [span(*ends) for ends in box])
+        ranges = enclose(table, needed, [span(*ends) for ends in box])
     except Undefined:
         return inf
     errors: dict[int, float] = {}
     ends: dict[int, Ends] = {}
-    for at, jet in zip(needed, jets, strict=True):
+    for at, value in zip(needed, ranges, strict=True):
         entry = table.entries[at]
-        low, high = ends[at] = libmp.to_float(jet.value[0]), libmp.to_float(jet.value[1])
+        low, high = ends[at] = libmp.to_float(value[0]), libmp.to_float(value[1])
         size = max(abs(low), abs(high))
         if not entry.args:
             errors[at] = constants.get(at, 0.0)
@@ -90,7 +90,7 @@ def propagated(op: str, errors: Sequence[Real], ends: Sequence[Ends], size: Real
     if not any(errors):
         return 0.0
     match op:
-        case "neg" | "abs" | "sin" | "cos" | "floor":
+        case "neg" | "abs" | "sin" | "cos" | "tanh" | "floor":
             return errors[0]
         case "add" | "sub":
             return errors[0] + errors[1]
@@ -102,6 +102,12 @@ def propagated(op: str, errors: Sequence[Real], ends: Sequence[Ends], size: Real
             return min(sqrt(errors[0]), errors[0] / sqrt(least[0]) if errors[0] < least[0] / 2 else inf)
         case "acos":
             return 2 * sqrt(errors[0])
+        case "exp":
+            return 2 * size * errors[0] if errors[0] < 1 else inf
+        case "log":
+            return 2 * errors[0] / least[0] if errors[0] < least[0] / 2 else inf
+        case "tan":  # tan(a + e) − tan a = (1 + tan² a) tan e/(1 − tan a tan e)
+            return 4 * (1 + size * size) * errors[0] if errors[0] < 1 / (4 + 4 * size) else inf
         case "atan2":
             radius = hypot(*least)
             return 2 * sum(errors) / radius if sum(errors) < radius / 2 else inf

@@ -2,7 +2,8 @@
 
 At each sampling instant the states of the controller take their next values, and the commands are computed; both are
 functions of the states before the instant. Then the states of the plant follow their rates for one period T while the
-commands u are held. The parameters may take any value of their ranges at any time.
+commands u are held. The parameters may take any value of their ranges at any time, unless the claim is about constant
+ones.
 
 The region is V(ξ) = ξᵀ P ξ < level at the sampling instants, ξ = x − x*. In between, W(τ, ζ) = ζᵀ Q(τ)⁻¹ ζ with
 ζ = (x − x*, u − u*) and the time τ since the last instant, where Q(τ) ≻ 0 is linear between equidistant knots. With the
@@ -24,19 +25,25 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
-from math import inf, nextafter
 from typing import Any
 
 import numpy as np
-from mpmath import libmp
 
 from surctl.certcheck.document import Rejected, listed, number, record
-from surctl.certcheck.enclosure import Undefined, greatest, least, span
+from surctl.certcheck.enclosure import Undefined, greatest, least, outward, span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.inequality import Box
 from surctl.certcheck.interval import printable, variables_of
 from surctl.certcheck.motion import Motion, require_loop, rest_of
-from surctl.certcheck.radii import least_rate, norm, read_radii, widened
+from surctl.certcheck.radii import (
+    least_rate,
+    narrowed,
+    norm,
+    read_constant,
+    read_radii,
+    require_rest,
+    widened,
+)
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite
 from surctl.certcheck.slope_rows import Rows
 from surctl.certcheck.slopes import is_definite, quadratic_form, require_in_box
@@ -52,7 +59,7 @@ _MOST_KNOTS = 65
 
 def check(document: Mapping[str, Any]) -> None:
     """Raise Rejected unless the certificate proves its claim about a sampled loop."""
-    claim = record(document["claim"], _CLAIM | document["claim"].keys() & {"radius"}, "claim")
+    claim = record(document["claim"], _CLAIM | document["claim"].keys() & {"radius", "constant"}, "claim")
     record(document, {"format", "version", "kind", "claim", "sha256", "knots", "feedbacks"}, "the certificate")
     printable(claim["name"])
     if claim["property"] != "stability":
@@ -70,7 +77,7 @@ def check(document: Mapping[str, Any]) -> None:
     if set(claim["equilibrium"]) != set(names[:size]):
         raise Rejected("the equilibrium does not name every state and command once")
     centre = [rest_of(claim["equilibrium"][name])[1] for name in names[:size]]
-    radii = read_radii(claim, names[:size])
+    radii, fixed = read_radii(claim, names[:size]), read_constant(claim)
     period, level, rate = (
         Fraction(repr(number(claim[key]))) if claim[key] is not None else Fraction(0)
         for key in ("period_s", "level", "rate")
@@ -82,18 +89,18 @@ def check(document: Mapping[str, Any]) -> None:
     if not 2 <= len(knots) <= _MOST_KNOTS:
         raise Rejected(f"there are not 2 to {_MOST_KNOTS} knots")
     cover = inverse(p)
+    wide = widened(p, level, radii[:n])
     for shape in (cover, *knots):
-        require_in_box(shape, centre, level, box)
+        require_in_box(shape, centre, *((wide, narrowed(box, radii)) if fixed else (level, box)))
     last = [[x - y for x, y in zip(*pair, strict=False)] for pair in zip(cover, knots[-1], strict=False)]
     if not is_positive_definite(last):
         raise Rejected("V may exceed W, the function between the instants, at the end of a period")
     at_samples = [*states, *names[size:]], [*box, *whole[size:]]
     feedbacks = [_exact(row) for row in listed(document["feedbacks"])]
     texts = [*(after.get(name, name) for name in states), *(row["value"] for row in commands)]
-    wide = widened(p, level, radii[:n])
     jump, drift = _rows(*at_samples, texts, [cover], centre[:n], wide, feedbacks, centre, radii[:n])
     ends = [(least(a, b)[0], greatest(a, b)[1]) for a, b in ((jump.range[k], jump.rest[k]) for k in jump.roots)]
-    ranges = [(nextafter(libmp.to_float(low), -inf), nextafter(libmp.to_float(high), inf)) for low, high in ends]
+    ranges = [outward(one) for one in ends]
     rates = [flow.get(name, "0") for name in names[:size]]  # a command is held
     between = Motion(names[:size], names, [*box, *ranges[n:], *whole[size:]], rates, discrete=False)
     table = ExpressionTable(names)
@@ -101,10 +108,18 @@ def check(document: Mapping[str, Any]) -> None:
     shapes = [inverse(knot) for knot in knots] if radii else []
     moved, time = norm(shapes[0], drift) if radii else Fraction(0), period / (len(knots) - 1)
     for k, pair in enumerate(pairwise(knots)):
-        wide = max((widened(shape, level, radii) for shape in shapes[k : k + 2]), default=level)
+        if not fixed:
+            wide = max((widened(shape, level, radii) for shape in shapes[k : k + 2]), default=level)
         drift = _piece(between, centre, wide, pair, time, radii)
         moved += time * max((norm(shape, drift) for shape in shapes[k : k + 2]), default=Fraction(0))
-    rate = max(rate, least_rate(moved, [cover, *knots], radii)) if radii else rate
+    if fixed:
+        still = [flow.get(name, f"({text}) - {name}") for name, text in zip(names, texts, strict=False)]
+        try:
+            require_rest(names, whole[size:], still, centre, radii)
+        except Undefined as reason:
+            raise Rejected(f"an expression is not defined near the equilibrium: {reason}") from None
+    elif radii:
+        rate = max(rate, least_rate(moved, [cover, *knots], radii))
     _instant(jump, p, knots[0], rate)
 
 

@@ -13,12 +13,10 @@ exact at the border of the region (Hu and Lin, Control Systems with Actuator Sat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import reduce
-from itertools import pairwise, product
-from typing import Any
+from itertools import product
 
 import numpy as np
 from mpmath import libmp
@@ -26,38 +24,25 @@ from numpy.typing import NDArray
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.elementary import BITS, hull
-from surctl.certcheck.enclosure import (
-    Interval,
-    Undefined,
-    above,
-    enclose,
-    greatest,
-    least,
-    minus,
-    mul,
-    over,
-    plus,
-    rational,
-)
+from surctl.certcheck.enclosure import Interval, above, enclose, mul, outward, over, plus, rational
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
+from surctl.certcheck.jets import Tape, as_array, as_interval
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import Matrix, magnitude, relative_root_up
+from surctl.certcheck.secants import common, fraction, pieces, secant
 
 __all__ = ["Number", "Poly", "Row", "Rows"]
 
-Array = NDArray[np.float64]
 Row = NDArray[np.object_]  # of objects of the class `Number`, or fractions
 Poly = dict[tuple[int, ...], Fraction]
 """A polynomial of degree at most 1 in each slope: coefficients by the sorted indices of the slopes in a term."""
 
-_PIECES, _HALVED = 24, 4  # parts of a range on each side of x* for a secant slope; halvings of the part next to x*
 _FEW = 6  # slopes of a row whose vertices are tried for its support
 _NARROW = Fraction(1, 2**33)  # a slope with a smaller relative width counts as a number with an error
 _MORE = 1 + Fraction(1, 10**6)  # least ratio of two costs that differ
 _MOST_TERMS = 4096  # of a polynomial
 _DIGITS = 26  # bits of the ends of a slope's range
-_MOST_EXPONENT = 20_000  # of 2, in an end of a range
 _ZERO = (libmp.fzero, libmp.fzero)
 
 
@@ -167,7 +152,7 @@ class Rows:
             if k < self.states:
                 at = _around(rational(self.centre[k]), self.radii[k]) if self.radii else rational(self.centre[k])
                 extent = self._ellipsoid([Fraction(j == k) for j in range(self.states)])
-                ends.append((_common(own, _around(at, extent)), at))
+                ends.append((common(own, _around(at, extent)), at))
             elif k in self.linear:
                 ends.append((hull(own, _ZERO), _ZERO))
             else:
@@ -261,7 +246,7 @@ class Rows:
             return None
         other, y = entry.args if free[0] else entry.args[::-1]
         low, high = (other, outer) if op == "min" else (outer, other)
-        gap = min(_fraction(self._apart(high, y)[0]), _fraction(self._apart(y, low)[0]))
+        gap = min(fraction(self._apart(high, y)[0]), fraction(self._apart(y, low)[0]))
         return (y, gap) if gap > 0 else None
 
     def _apart(self, a: int, b: int) -> Interval:
@@ -274,21 +259,20 @@ class Rows:
             return self.box[entry.value.numerator]
         small = ExpressionTable([str(k) for k in range(len(entry.args))])
         root = small.put(entry.op, *(small.put("var", value=k) for k in range(len(entry.args))), value=entry.value)
-        own, rest = (
-            enclose(small, [root], [known[a] for a in entry.args])[0].value for known in (self.range, self.rest)
-        )
+        own, rest = (enclose(small, [root], [known[a] for a in entry.args])[0] for known in (self.range, self.rest))
         if 0 <= self.base[at] != at:
             image, still = self._image(at)
-            own, rest = _common(own, image), _common(rest, still)
+            own, rest = common(own, image), common(rest, still)
         elif self.base[at] == at and (entry.op not in ("min", "max") or at in self.limits):
-            own = _common(own, _around(rest, self._support(self.row(at))))
+            own = common(own, _around(rest, self._support(self.row(at))))
         return own, rest
 
     def _image(self, at: int) -> tuple[Interval, Interval]:
         """Return the range on the region, and that at x*, of a function of its base."""
         function, base = self._function(at), self.base[at]
-        values = [function(piece, 0)[0] for piece in _pieces(self.range[base], self.rest[base])]
-        return reduce(hull, values), function(self.rest[base], 0)[0]
+        covered = pieces(self.range[base], outward(self.rest[base]))
+        ends, [rest] = function.everywhere(covered)[0].value, function.everywhere(as_array(self.rest[base]))
+        return as_interval(ends), as_interval(rest.value)
 
     def _support(self, row: Row) -> Fraction:
         """Return an upper bound on |row · (ξ, w)|."""
@@ -308,7 +292,7 @@ class Rows:
     def _extent(self, k: int) -> Fraction:
         """Return an upper bound on |ξ_k|, or on the disturbance of this place."""
         own, rest = self.box[self.linear[k]]
-        return _fraction(libmp.mpi_abs(libmp.mpi_sub(own, rest, BITS), BITS)[1])
+        return fraction(libmp.mpi_abs(libmp.mpi_sub(own, rest, BITS), BITS)[1])
 
     # ---- rows and values as polynomials in the slopes
 
@@ -367,7 +351,7 @@ class Rows:
 
         def cost(one: int, other: int) -> Fraction:
             low, high = self.range[one]
-            return (_fraction(high) - _fraction(low)) * self._support(self.row(other))
+            return (fraction(high) - fraction(low)) * self._support(self.row(other))
 
         # rounding must not decide between equal costs
         swap = zero[0] and not zero[1] if zero[0] != zero[1] else cost(a, b) > cost(b, a) * _MORE
@@ -392,7 +376,7 @@ class Rows:
         if entry.op == "num":
             return Number({(): entry.value} if entry.value else {})
         if narrow[0] == narrow[1]:
-            number = _fraction(narrow[0])
+            number = fraction(narrow[0])
             return Number({(): number} if number else {})
         if self._numeric[at]:
             return None
@@ -433,9 +417,9 @@ class Rows:
 
         With radii, a range that is narrow relative to `whole`, the values in the region, is narrow too.
         """
-        low, high = (_fraction(end) for end in ends)
+        low, high = (fraction(end) for end in ends)
         middle, half = (low + high) / 2, (high - low) / 2
-        if half <= _NARROW * max([abs(middle), *(abs(_fraction(end)) for end in whole if self.radii)]):
+        if half <= _NARROW * max([abs(middle), *(abs(fraction(end)) for end in whole if self.radii)]):
             return Number({(): middle} if middle else {}, half)
         self.slopes.append(_rounded(ends))
         return Number({(len(self.slopes) - 1,): Fraction(1)})
@@ -484,28 +468,20 @@ class Rows:
 
     # ---- functions of one variable
 
-    def _function(self, at: int) -> Callable[[Interval, int], tuple[Interval, Interval]]:
-        """Return value and slope of the node `at` as a function of its base."""
+    def _function(self, at: int) -> Tape:
+        """Return the node `at` as a function of its base."""
         small, base = ExpressionTable(["t"]), self.base[at]
         new = {base: small.put("var", value=0)}
         for k in self.table.needed([at]):
             entry = self.table.entries[k]
             if k not in new and all(a in new for a in entry.args) and entry.op != "var":
                 new[k] = small.put(entry.op, *(new[a] for a in entry.args), value=entry.value)
-        root = new[at]
-
-        def function(t: Interval, order: int) -> tuple[Interval, Interval]:
-            [jet] = enclose(small, [root], [t], order=order)
-            return jet.value, (jet.slope[0] or _ZERO) if jet.slope else _ZERO
-
-        return function
+        return Tape(small, (new[at],))
 
     def _secant(self, at: int) -> Interval:
         """Return the range of (g(t) − g(c))/(t − c), for t in the range of the base and c its value at x*."""
-        function, base = self._function(at), self.base[at]
-        c = self.rest[base]
-        value = function(c, 0)[0]
-        return reduce(hull, (_secant_on(function, piece, c, value) for piece in _pieces(self.range[base], c)))
+        base = self.base[at]
+        return secant(self._function(at), self.range[base], self.rest[base])
 
     def resting(self, k: int, moved: Fraction) -> Number:
         """Return f_k(centre, w) − moved without disturbances; it is the number 0 only if it is exactly 0."""
@@ -526,31 +502,18 @@ class Rows:
             return Number({})
         # the mean value theorem bounds it more closely where terms in the parameters cancel
         box = [own for own, _ in self.box]
-        middle = [rational((_fraction(low) + _fraction(high)) / 2) for low, high in box]
-        total = enclose(small, [apart], middle)[0].value
-        [jet] = enclose(small, [apart], box, order=1)
-        for slope, own, at_middle in zip(jet.slope or (), box, middle, strict=True):
-            total = plus(total, mul(slope, plus(own, minus(at_middle))))
-        return self._slope(_common(plus(self.rest[self.roots[k]], rational(-moved)), total))
-
-
-def _fraction(x: Any) -> Fraction:
-    """Return one of mpmath's raw numbers as a fraction."""
-    sign, man, exp, _ = x
-    if x in (libmp.finf, libmp.fninf, libmp.fnan) or abs(exp) > _MOST_EXPONENT:
-        raise Undefined("a slope that is unbounded, or too large or small to be written")
-    return Fraction(-int(man) if sign else int(man)) * Fraction(2) ** int(exp)
+        middle = [rational((fraction(low) + fraction(high)) / 2) for low, high in box]
+        [total], [jet] = enclose(small, [apart], middle), Tape(small, (apart,)).everywhere(as_array(*box), order=1)
+        assert jet.slope is not None
+        for low, high, own, at_middle in zip(*jet.slope, box, middle, strict=True):
+            total = plus(total, mul(as_interval((low, high)), libmp.mpi_sub(own, at_middle, BITS)))
+        return self._slope(common(plus(self.rest[self.roots[k]], rational(-moved)), total))
 
 
 def _rounded(a: Interval) -> tuple[Fraction, Fraction]:
     """Return an interval around `a` whose ends have few digits."""
     low, high = libmp.mpf_pos(a[0], _DIGITS, "f"), libmp.mpf_pos(a[1], _DIGITS, "c")
-    return _fraction(low), _fraction(high)
-
-
-def _common(a: Interval, b: Interval) -> Interval:
-    """Return the intersection of two intervals, both of which contain the same number."""
-    return greatest(a, b)[0], least(a, b)[1]
+    return fraction(low), fraction(high)
 
 
 def _around(a: Interval, extent: Fraction) -> Interval:
@@ -566,35 +529,3 @@ def _evaluated(poly: Poly, value: Mapping[int, Fraction]) -> Fraction:
             number *= value[k]
         total += number
     return total
-
-
-def _pieces(ends: Interval, c: Interval) -> list[Interval]:
-    """Return intervals that cover an interval; they are shorter near c, where the mean value theorem decides."""
-    low, high = (_fraction(end) for end in ends)
-    if low == high:
-        return [ends]
-    middle = min(max((_fraction(c[0]) + _fraction(c[1])) / 2, low), high)
-    steps = [Fraction(1, _PIECES * 2**k) for k in range(_HALVED, 0, -1)] + [
-        Fraction(k, _PIECES) for k in range(1, _PIECES)
-    ]
-    below = [middle - (middle - low) * step for step in reversed(steps)]
-    inside = [x for x in [*below, middle, *(middle + (high - middle) * step for step in steps)] if low < x < high]
-    return list(pairwise([ends[0], *(rational(x)[0] for x in dict.fromkeys(inside)), ends[1]]))
-
-
-def _secant_on(
-    function: Callable[[Interval, int], tuple[Interval, Interval]], piece: Interval, c: Interval, value: Interval
-) -> Interval:
-    """Return the range of (g(t) − g(c))/(t − c) for t in `piece`."""
-    between = function(hull(piece, c), 1)[1]  # the mean value theorem
-    apart = libmp.mpi_sub(piece, c, BITS)
-    if not (above(apart) or libmp.mpf_lt(apart[1], libmp.fzero)):
-        return between
-    at, own = function(piece, 1)
-    secant = _common(between, over(plus(at, minus(value)), apart))
-    # s' = (g' − s)/(t − c), and s(t) = s(m) + s'(τ)(t − m)
-    bend = over(plus(own, minus(secant)), apart)
-    low, high = (_fraction(end) for end in piece)
-    middle = rational((low + high) / 2)
-    first = over(plus(function(middle, 0)[0], minus(value)), libmp.mpi_sub(middle, c, BITS))
-    return _common(secant, plus(first, mul(bend, libmp.mpi_sub(piece, middle, BITS))))

@@ -26,7 +26,7 @@ from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
 from surctl.certcheck.inequality import Box
 from surctl.certcheck.patience import afford, go_on
-from surctl.certcheck.radii import least_rate, norm, widened
+from surctl.certcheck.radii import least_rate, norm, require_rest, widened
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite, magnitude, up
 from surctl.certcheck.slope_rows import Number, Poly, Row, Rows
 
@@ -55,6 +55,7 @@ class Decrease:
         constant: a number ≥ 0; if it is 0, the dynamics must rest at x*.
         radii: radii (n,) of x* about `centre` (`surctl.certcheck.radii`); empty if it is there. With radii, V about
             every x* within them decreases on the region {V ≤ level} about `centre`, which contains an equilibrium.
+        fixed: whether all parameters are constant, and an equilibrium of each lies within the radii.
     """
 
     p: Matrix
@@ -64,6 +65,7 @@ class Decrease:
     gains: Mapping[str, Fraction]
     constant: Fraction = Fraction(0)
     radii: Sequence[Fraction] = ()
+    fixed: bool = False
 
 
 def quadratic_form(states: Sequence[str], function: str, centre: Sequence[Fraction]) -> Matrix:
@@ -130,13 +132,16 @@ def check_decrease(
         level = widened(needed.p, needed.level, radii)
         rows = Rows(names, ends, rates, [cover], needed.centre, level, gains, feedbacks, radii)
         free = [rows.resting(k, needed.centre[k] if discrete else Fraction(0)) for k in range(len(rates))]
+        if needed.fixed:
+            still = [f"({rate}) - {name}" if discrete else rate for name, rate in zip(names, rates, strict=False)]
+            require_rest(names, box[len(rates) :], still, needed.centre, radii)
     except Undefined as reason:
         raise Rejected(f"an expression is not defined on the region: {reason}") from None
     if len(rows.limits) != len(feedbacks):
         raise Rejected(f"there are {len(feedbacks)} feedbacks for {len(rows.limits)} limits")
     if needed.constant < 0:
         raise Rejected("V would have to become negative")
-    moves = any(entry.poly or entry.error for entry in free)
+    moves = not needed.fixed and any(entry.poly or entry.error for entry in free)
     if moves and radii:
         least = least_rate(norm(needed.p, [rows.size(entry) for entry in free]), [cover], radii)
         needed, moves = replace(needed, rate=max(needed.rate, least)), False

@@ -211,7 +211,7 @@ class _Ring:
         inside = expressions.read(fact["of"])
         own = ExpressionTable(["t"])
         roots = [own.read(text) for text in fact["factors"]]
-        if not same_sign(own, roots, enclose(expressions, [inside], self._root)[0].value):
+        if not same_sign(own, roots, enclose(expressions, [inside], self._root)[0]):
             raise Rejected("a fact about a function is not shown")
         moved: list[int] = []
         for e in own.entries:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import tempfile
@@ -16,16 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import SurctlError, ToolMissing
+from surctl.errors import SurctlError, ToolMissing, check_known
 from surctl.export.bundle import Bundle, write_bundle
 from surctl.export.contract import Exportable
 from surctl.export.emulated import Target
-from surctl.export.envelope import Envelope, Records, Rows, as_records
-from surctl.export.precision import Guarded, Rounded, plain, replayed, rounded
+from surctl.export.envelope import Envelope, Records, as_records
+from surctl.export.precision import Guarded, Rounded, differing, plain, replayed, rounded
 from surctl.export.process import Controller, code_bytes, compile_controller
 from surctl.ir import Real
 from surctl.ir.cache import compile_program, compiler_version
-from surctl.ir.frames import stack_from_report
 
 Vector = NDArray[np.float64]
 
@@ -273,7 +273,7 @@ def check_builds(
         [('gcc-O0', 0)]
     """
     law, within = Rounded(plain(controller.law), controller.bundle.real), controller.bundle.envelope
-    guarded = law if within is None else Guarded(law, within, law.real)
+    guarded = law if within is None else Guarded(law, law.real, within)
     recordings = [as_records(law, run) for run in runs]
     alone = trial_steps(law, recordings, steps, real=law.real, within=within)
     records = Records(
@@ -288,7 +288,9 @@ def check_builds(
     came = controller.run(records, load=load).state
     states = np.where(load[:, None], records.X, np.vstack([records.X[:1], came[:-1]]))
     rows = replayed(guarded, Records(states, records.U, records.P), load)
-    want, accepted = _bytes(rows, np.dtype(law.real)), rows.status >= 0
+    numbers = np.hstack([rows.status[:, None].astype(np.float64), rows.tau, rows.state, rows.telemetry])
+    with np.errstate(over="ignore"):
+        want, accepted = numbers.astype(law.real), rows.status >= 0
     stream = controller.stream(records, load=load)
 
     def tried(target: Target) -> BuildReport:
@@ -302,15 +304,8 @@ def check_builds(
     return CheckReport(law.real, at, len(alone), tuple(reports), dict(untried or {}))
 
 
-def _bytes(rows: Rows, dtype: np.dtype[Any]) -> NDArray[np.uint8]:
-    flat = np.hstack([rows.status[:, None].astype(np.float64), rows.tau, rows.state, rows.telemetry])
-    with np.errstate(over="ignore"):
-        exact = np.ascontiguousarray(flat.astype(dtype))
-    return exact.view(np.uint8).reshape(len(flat), -1)
-
-
 def _tried(
-    host: Controller, target: Target, folder: Path, stream: bytes, want: NDArray[np.uint8], accepted: NDArray[np.bool_]
+    host: Controller, target: Target, folder: Path, stream: bytes, want: NDArray[Any], accepted: NDArray[np.bool_]
 ) -> BuildReport:
     bundle, version = host.bundle, compiler_version(target.compiler)
     try:
@@ -318,8 +313,7 @@ def _tried(
         raw = controller.output(stream, len(want))
     except SurctlError as failure:
         return BuildReport(target.name, version, failure=str(failure))
-    have = np.frombuffer(raw, dtype=np.uint8).reshape(len(want), -1)
-    wrong = np.flatnonzero(~_same(have, want, np.dtype(bundle.real)))
+    wrong = differing(np.frombuffer(raw, dtype=want.dtype).reshape(want.shape), want)
     return BuildReport(
         target.name,
         version,
@@ -331,17 +325,6 @@ def _tried(
         None if target.machine is None else step_stack(bundle, code),  # not measured where memory is plentiful
         instructions(counts, accepted),
     )
-
-
-def _same(have: NDArray[np.uint8], want: NDArray[np.uint8], dtype: np.dtype[Any]) -> NDArray[np.bool_]:
-    # (T,): the results have the same bytes; any two NaN count as equal
-    equal = have == want
-    rows: NDArray[np.bool_] = equal.all(axis=1)
-    for k in np.flatnonzero(~rows):
-        a, b = have[k].view(dtype), want[k].view(dtype)
-        bits = f"u{dtype.itemsize}"
-        rows[k] = bool(np.all((a.view(bits) == b.view(bits)) | (np.isnan(a) & np.isnan(b))))
-    return rows
 
 
 def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controller, Path | None, list[Path]]:
@@ -407,3 +390,48 @@ def step_stack(bundle: Bundle, code: Sequence[Path]) -> int | None:
         return stack_from_report(reports, text, f"{bundle.name}_step")
     except (SurctlError, FileNotFoundError):
         return None
+
+
+_FUNCTION = re.compile(r"^\w[\w *]*\b(\w+)\([^;{}]*\)\s*\{([^\n]*\}$|\n.*?^\}$)", re.MULTILINE | re.DOTALL)
+_CALL = re.compile(r"\b(\w+)\(")
+
+
+def stack_from_report(report: str, text: str, entry: str) -> int:
+    r"""Return how many bytes of stack a C function uses, including its calls, from a report of `-fstack-usage`.
+
+    That is the sum of the frames along the deepest chain of calls. The C text must not be recursive, and the definition
+    of every function must begin on a line of its own. The stack of libm functions such as sin is not counted. An
+    inlined function is part of the stack frame of its caller.
+
+    `report` may be the concatenated reports of several object files; `text` is the C text, including its own header
+    files.
+
+    Raises:
+        InputError: the text has no function `entry`.
+        SurctlError: a frame has no fixed size.
+    """
+    # every file that includes a header reports the functions of the header again
+    rows = [line.split("\t") for line in dict.fromkeys(report.splitlines())]
+    if any("dynamic" in row[2] and "bounded" not in row[2] for row in rows):
+        raise SurctlError("a frame has no fixed size")
+    # "text.c:12:3:name", or "name.part.0" for a part that the compiler split off
+    frames: dict[str, int] = {}
+    for where, size, _ in rows:
+        function = where.rsplit(":", 1)[-1].split(".")[0]
+        frames[function] = frames.get(function, 0) + int(size)
+    callees = _callees(text)
+    check_known(entry, callees, "is not a function of the compiled C", key="entry")
+    return _deepest(entry, callees, frames, {})
+
+
+def _callees(text: str) -> dict[str, set[str]]:
+    functions = _FUNCTION.findall(text)
+    names = {name for name, _ in functions}
+    return {name: set(_CALL.findall(body)) & names for name, body in functions}
+
+
+def _deepest(function: str, callees: dict[str, set[str]], frames: dict[str, int], known: dict[str, int]) -> int:
+    if function not in known:
+        below = [_deepest(inner, callees, frames, known) for inner in callees[function]]
+        known[function] = frames.get(function, 0) + max(below, default=0)
+    return known[function]

@@ -186,39 +186,6 @@ class Envelope:
                 return True
         return False
 
-    def chained(
-        self,
-        rows: Rows,
-        records: Records,
-        load: NDArray[np.bool_],
-        *,
-        dt: float,
-        real: Real,
-        counts: NDArray[np.int64] | None = None,
-    ) -> Rows:
-        """Return the results, with status `RANGE` where an input changed too fast since the last accepted step.
-
-        Args:
-            rows, records: results of T steps without this check, and their state, inputs and gains.
-            load: (T,) True at each step that starts a new run.
-            counts: (T,) sample number of each step; None means one sample per step.
-        """
-        counts = np.arange(len(records)) if counts is None else counts
-        if not self.rates:
-            return rows
-        out = Rows(rows.status.copy(), rows.tau.copy(), rows.state.copy(), rows.telemetry.copy())
-        last = -1
-        for k in range(len(records)):
-            if load[k]:
-                last = -1
-            looked_at = last >= 0 and out.status[k] not in (NONFINITE, RANGE)
-            if looked_at and self.jumped(
-                records.U[k], records.U[last], int(counts[k] - counts[last]), dt=dt, real=real
-            ):
-                out.status[k], out.tau[k], out.state[k], out.telemetry[k] = RANGE, 0.0, records.X[k], 0.0
-            last = k if out.status[k] >= 0 else last
-        return out
-
 
 def anywhere(law: Exportable) -> Envelope:
     """Return an envelope that accepts any finite number, without limits on rates."""

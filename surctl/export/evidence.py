@@ -19,6 +19,7 @@ from surctl.export.check import CheckReport
 from surctl.export.contract import STATUS
 from surctl.export.envelope import AnyRecord
 from surctl.export.prove import ProofReport
+from surctl.export.rendering import templates
 from surctl.export.sil import SilReport
 
 _MARK = "## Evidence\n"
@@ -98,79 +99,12 @@ def _bits(statuses: NDArray[np.int_], period: float) -> dict[str, dict[str, floa
 def _with_evidence(bundle: Bundle, evidence: Mapping[str, Any], *, binaries: Mapping[str, bytes] | None) -> Bundle:
     files = {name: text for name, text in bundle.files.items() if name != "manifest.json"}
     head, mark, _ = files["README.md"].rpartition(_MARK)
-    files["README.md"] = head + mark + "\n".join(_lines(evidence)) + "\n"
+    replays = (evidence, *evidence.get("further_runs", ()))
+    files["README.md"] = (
+        head + mark + templates().get_template("evidence.md.j2").render(**evidence, replays=replays, json=json.dumps)
+    )
     table = json.loads(bundle.files["manifest.json"])
     whole = MappingProxyType({**bundle.binaries, **(binaries or {})})
     table["evidence"] = dict(evidence)
     manifest = manifest_with(table, files, proof=table["proof"], binaries=whole)
     return replace(bundle, files=MappingProxyType({**files, "manifest.json": manifest}), binaries=whole)
-
-
-def _lines(evidence: Mapping[str, Any]) -> list[str]:
-    check, proof, own = evidence["check"], evidence["proof"], "system" in evidence["run"]
-    lines = [line for one in (evidence, *evidence.get("further_runs", ())) for line in _replay_lines(**one)]
-    if check is None:
-        lines.append("- Other compilers and processors: not tried (`surctl export --check`).")
-    else:
-        verdict = "same bytes as Python" if check["passed"] else "DIFFERENT from Python"
-        steps = check["simulated_steps"] + check["single_steps"]
-        lines += [f"- Compilers and processors, {steps} steps each: {verdict}.", "", *_builds(check), ""]
-        lines.append("  Instructions are measured over these steps; they are not a proved bound.")
-    claim = "not tried (`surctl export --prove`)" if proof is None else f"{proof['status']}: {proof['claim']}"
-    what = "No run-time error" if own else "No run-time error, thrust within its limits"
-    return [*lines, f"- {what}: {claim}."]
-
-
-def _replay_lines(run: Mapping[str, Any], sil: Mapping[str, Any], **_: Any) -> list[str]:
-    failure, own = run.get("failure"), "system" in run
-    result = ("" if own else "arrived without contact") if failure is None else f"FAILED: {failure}"
-    if own:
-        simulated = run["text"] + (f": {result}" if result else "")
-    else:
-        simulated = f"{run['scenario']} by {run['vehicle']}, {run['sensing']}, seed {run['seed']}: {result}"
-    if bits := run.get("bits"):
-        often = (
-            f"`{k}` in {b['share']:.1%} of the steps, at most {b['longest_s']:.4g} s in a row" for k, b in bits.items()
-        )
-        simulated += f". Its statuses: {'; '.join(often)}"
-    return [
-        f"- Simulated run: {simulated}.",
-        *_mission(run),
-        f"- The compiled C over {sil['steps']} steps of this run, against Python: largest difference of the "
-        f"{'commands' if own else 'thrust'} "
-        f"{sil['tau']:.1e}, {sil['status_mismatches']} other statuses; {sil['fault_cases']} bad inputs, "
-        f"{len(sil['fault_failures'])} not refused ({sil['compiler']}).",
-    ]
-
-
-def _mission(run: Mapping[str, Any]) -> list[str]:
-    # what a simulation of one's own needs of the simulated run's scenario
-    if "path_length_m" not in run:
-        return []
-    mission = f"- Its mission: path of {run['path_length_m']:.4g} m, `arrival_m` {run['arrival_m']:g} m."
-    if not run["obstacles"]:
-        return [f"{mission} No obstacles."]
-    rows = [
-        f"{mission} Its obstacles:",
-        "",
-        "| obstacle | shape | rest of its entry in the mission file |",
-        "|---|---|---|",
-    ]
-    for obstacle in run["obstacles"]:
-        rest = (f"{k} = {json.dumps(v)}" for k, v in obstacle.items() if k not in ("name", "shape"))
-        rows.append(f"| {obstacle['name'].replace('|', '/')} | {obstacle['shape']} | {', '.join(rest)} |")
-    return [*rows, ""]
-
-
-def _builds(check: Mapping[str, Any]) -> list[str]:
-    rows = [
-        "| target | result | code without self-test [B] | stack [B] | instructions min / mean / max |",
-        "|---|---|---|---|---|",
-    ]
-    for build in check["builds"]:
-        counted = build["instructions"]
-        numbers = "–" if counted is None else f"{counted[0]} / {counted[1]:.0f} / {counted[2]}"
-        cells = (build["target"], "same" if build["same"] else build["failure"] or f"{build['differing']} steps differ")
-        sizes = ("–" if build[key] is None else str(build[key]) for key in ("runtime_bytes", "stack_bytes"))
-        rows.append(f"| {' | '.join((*cells, *sizes, numbers))} |")
-    return rows

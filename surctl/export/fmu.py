@@ -19,8 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Element, SubElement
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +29,13 @@ from surctl.errors import InputError
 from surctl.export.bundle import Bundle, ExportedFile
 from surctl.export.contract import DATA, MISSION_FILES, Exportable, commands, is_robot_law, status_table
 from surctl.export.envelope import Envelope, anywhere
-from surctl.export.rendering import render_unit
+from surctl.export.rendering import render_unit, templates
 from surctl.files import write_file
 from surctl.ir import Port
 from surctl.ir.cache import compile_program, packaged_compiler
 
 Vector = NDArray[np.float64]
 
-_ROBOT = "Controller of a small underwater robot. SI units, radians; frames ENU (world) and FLU (body)."
 _LIMIT = 1e37  # a range whose end is beyond this is that of the number type
 
 _COMPONENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -168,103 +166,28 @@ def _unit_exponents(text: str) -> dict[str, int] | None:
     return {name: power for name, power in powers.items() if power}
 
 
-def _unit_definitions(root: Element, numbers: Sequence[_Variable]) -> None:
-    units = sorted({variable.unit for variable in numbers if variable.unit})
-    if not units:
-        return
-    listed = SubElement(root, "UnitDefinitions")
-    for unit in units:
-        element = SubElement(listed, "Unit", name=unit)
-        exponents = _unit_exponents(unit)
-        if exponents is not None:
-            SubElement(element, "BaseUnit", {name: str(power) for name, power in exponents.items()})
-
-
-def _attributes(variable: _Variable) -> dict[str, str]:
-    # unit, range and start
-    attributes = {"min": variable.low, "max": variable.high, "start": variable.start}
-    unit = {"unit": variable.unit} if variable.unit else {}
-    return unit | {name: repr(value) for name, value in attributes.items() if value is not None}
-
-
-_KIND: Mapping[str, Mapping[str, str]] = MappingProxyType(
-    {
-        "input": {"causality": "input", "variability": "discrete"},
-        "parameter": {"causality": "parameter", "variability": "tunable", "initial": "exact"},
-        "output": {"causality": "output", "variability": "discrete", "initial": "calculated"},
-    }
-)
-
-
-def _text(root: Element) -> bytes:
-    ElementTree.indent(root)
-    text: str = ElementTree.tostring(root, encoding="unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
-
-
 def description(
     law: Exportable, bundle: Bundle, gains: Vector, sources: Sequence[str], *, fmi: int, fed: Sequence[str] = ()
 ) -> bytes:
     """Return the file modelDescription.xml of FMI 2.0 or 3.0."""
-    numbers = _variables(law, bundle.envelope or anywhere(law), gains, fed=fed)
-    codes = "; ".join(f"{code}: {meaning}" for _, code, meaning in status_table(law))
-    two = fmi == 2
-    word = "state" if two else "State"
-    identity = {"guid": bundle.id, "numberOfEventIndicators": "0"} if two else {"instantiationToken": bundle.id}
-    root = Element(
-        "fmiModelDescription",
-        {"fmiVersion": f"{fmi}.0", **identity},
-        modelName=bundle.name,
-        description=_ROBOT if is_robot_law(law) else "Controller. SI units, radians.",
-        generationTool=f"surctl {__version__}",
-        variableNamingConvention="structured",
+    return _text(
+        "modelDescription.xml",
+        fmi=fmi,
+        name=bundle.name,
+        id=bundle.id,
+        robot=is_robot_law(law),
+        version=__version__,
+        period=repr(float(law.dt)),
+        sources=sources,
+        numbers=_variables(law, bundle.envelope or anywhere(law), gains, fed=fed),
+        exponents=_unit_exponents,
+        codes="; ".join(f"{code}: {meaning}" for _, code, meaning in status_table(law)),
+        outputs_from=law.inputs.size + law.gains.size,
     )
-    can = {"modelIdentifier": bundle.name, "canHandleVariableCommunicationStepSize": "true"}
-    can |= {"canNotUseMemoryManagementFunctions": "false"} if two else {}
-    unit = SubElement(
-        root, "CoSimulation", can | dict.fromkeys((f"canGetAndSetFMU{word}", f"canSerializeFMU{word}"), "true")
-    )
-    if two:
-        listed = SubElement(unit, "SourceFiles")
-        for file in sources:
-            SubElement(listed, "File", name=file)
-    _unit_definitions(root, numbers)
-    SubElement(SubElement(root, "LogCategories"), "Category", name="logStatusWarning")
-    SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(float(law.dt)))
-    listed = SubElement(root, "ModelVariables")
-
-    def variable(name: str, reference: int, said: str, causality: str, kinds: tuple[str, str], **more: str) -> None:
-        named = {"name": name, "valueReference": str(reference), "description": said, **_KIND[causality]}
-        if two:
-            SubElement(SubElement(listed, "ScalarVariable", named), kinds[0], more)
-        else:
-            SubElement(listed, kinds[1], named | more)
-
-    for v in numbers:
-        variable(v.name, v.reference, v.description, v.causality, ("Real", "Float64"), **_attributes(v))
-    variable("status", 0 if two else len(numbers), codes, "output", ("Integer", "Int32"))
-    structure, first = SubElement(root, "ModelStructure"), law.inputs.size + law.gains.size
-    if two:
-        for kind in ("Outputs", "InitialUnknowns"):
-            listed = SubElement(structure, kind)
-            for index in range(first + 1, len(numbers) + 2):
-                SubElement(listed, "Unknown", index=str(index))
-        return _text(root)
-    time = {"name": "time", "valueReference": str(len(numbers) + 1)}
-    SubElement(listed, "Float64", {**time, "causality": "independent", "variability": "continuous"})
-    for kind in ("Output", "InitialUnknown"):
-        for reference in range(first, len(numbers) + 1):
-            SubElement(structure, kind, valueReference=str(reference))
-    return _text(root)
 
 
-def _build_description(name: str, sources: Sequence[str]) -> bytes:
-    """Return the file sources/buildDescription.xml of FMI 3.0."""
-    root = Element("fmiBuildDescription", fmiVersion="3.0")
-    listed = SubElement(SubElement(root, "BuildConfiguration", modelIdentifier=name), "SourceFileSet", language="C99")
-    for file in sources:
-        SubElement(listed, "SourceFile", name=file)
-    return _text(root)
+def _text(file: str, **values: Any) -> bytes:
+    return templates().get_template(f"{file}.j2").render(values).encode()
 
 
 _PLATFORMS: Mapping[int, Mapping[tuple[str, str], tuple[str, str]]] = MappingProxyType(
@@ -326,7 +249,7 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
     compiled = [file for file in sources if file.endswith(".c")]
     members = {"modelDescription.xml": description(law, bundle, gains, compiled, fmi=fmi, fed=fed)}
     if fmi == 3:
-        members["sources/buildDescription.xml"] = _build_description(bundle.name, compiled)
+        members["sources/buildDescription.xml"] = _text("buildDescription.xml", name=bundle.name, sources=compiled)
     members |= _compiled(bundle.name, sources, machine, fmi=fmi)
     members |= {f"sources/{file}": text.encode() for file, text in sources.items()}
     return _write(Path(directory), f"{bundle.name}.fmu", members)

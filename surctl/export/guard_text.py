@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from decimal import Decimal
 from itertools import groupby
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from surctl.export.contract import Exportable, commands, entries, is_robot_law, transfers
 from surctl.export.envelope import Envelope, Rate
-from surctl.ir import Layout, Port, Real, c_literal
+from surctl.ir import Layout, Port, Real
 from surctl.ir.c99 import C_TYPE
 
 Vector = NDArray[np.float64]
@@ -112,13 +112,14 @@ def _port_lines(
 
 
 def _test(text: str, bounds: Vector, real: Real, refuse: str = _REFUSE) -> str:
-    low, high = (_bound(float(b), real) for b in bounds)
+    low, high = (bound_text(float(b), real) for b in bounds)
     if float(bounds[0]) == -float(bounds[1]):
         return f"if (!({'fabs' if real == 'float64' else 'fabsf'}({text}) <= {high})) {{ {refuse} }}"
     return f"if (!(({text} >= {low}) && ({text} <= {high}))) {{ {refuse} }}"
 
 
-def _bound(value: float, real: Real) -> str:
+def bound_text(value: float, real: Real) -> str:
+    """Return the C text of the end of a range, DBL_MAX or FLT_MAX if it is none."""
     largest = float(np.finfo(real).max)
     name = "DBL_MAX" if real == "float64" else "FLT_MAX"
     if abs(value) >= largest:
@@ -128,26 +129,6 @@ def _bound(value: float, real: Real) -> str:
     literal = short + ("f" if real == "float32" else "")
     # where the processor computes in a wider format, a cast takes the excess digits from a decimal that is not exact
     return literal if Decimal(short) == Decimal(value) else f"({C_TYPE[real]}){literal}"
-
-
-def limit_lines(members: Sequence[str], box: Vector | None, real: Real) -> list[str]:
-    """Return C lines that limit each command to its range; `limited` becomes 1 if a command changes."""
-    if box is None:
-        return []
-    lines = []
-    for member, (low, high) in zip(members, box, strict=True):
-        if max(-float(low), float(high)) < float(np.finfo(real).max):
-            lines.append(f"limited |= limit(&{member}, {_bound(float(low), real)}, {_bound(float(high), real)});")
-    return lines
-
-
-def order_lines(layout: Layout, envelope: Envelope) -> list[str]:
-    """Return C lines that end their function with the index, from 1, of a gain that is less than it may be."""
-    members = [member for member, _ in entries(layout)]
-    return [
-        f"if (!(gains->{members[low]} <= gains->{members[high]})) {{ return {high + 1}; }}"
-        for low, high in envelope.orders
-    ]
 
 
 def number_calls(layout: Layout, struct: str) -> list[str]:
@@ -162,43 +143,14 @@ def number_calls(layout: Layout, struct: str) -> list[str]:
     return calls
 
 
-def jump_lines(layout: Layout, envelope: Envelope, dt: float, real: Real) -> list[str]:
-    """Return C lines that return 1 if an input differs from `state->last` by more than allowed in `count` samples."""
-    size, floor = ("fabs", "floor") if real == "float64" else ("fabsf", "floorf")
-    lines = []
-    for rate, first, members in _alike(layout, envelope):
-        lines.append(f"most = {c_literal(rate.at_once, real)} + {c_literal(rate.per_second * dt, real)} * count;")
-        turn = c_literal(2.0 * np.pi, real)
-        whole = f"moved -= {turn} * {floor}(moved / {turn} + {c_literal(0.5, real)});"
-        for k, member in _each(members, first):
-            lines += [k] * bool(k) + [member.replace("@", "moved = input->") + (f" {whole}" if rate.turn else "")]
-            lines.append(f"if (!({size}(moved) <= most)) {{ return 1; }}" + " }" * bool(k))
-    return lines
-
-
-def keep_lines(layout: Layout, envelope: Envelope) -> list[str]:
-    """Return C lines that store, in `state->last`, the inputs whose rate of change is limited."""
-    lines = []
-    for _, first, members in _alike(layout, envelope):
-        if len(members) >= _LOOP:
-            stem, at = members[0].rstrip("]").rsplit("[", 1)
-            stored = f"state->last[{_plus(first)}] = input->{stem}[{_plus(at)}];"
-            lines.append(f"for (int k = 0; k < {len(members)}; ++k) {{ {stored} }}")
-        else:
-            lines += [f"state->last[{first + k}] = input->{member};" for k, member in enumerate(members)]
-    return lines
-
-
-def _plus(first: int | str) -> str:
-    # C text of the index k from `first` on
-    return "k" if int(first) == 0 else f"k + {first}"
-
-
 _LOOP = 4  # from this many inputs with equal rates on, a loop is shorter
 
 
-def _alike(layout: Layout, envelope: Envelope) -> list[tuple[Rate, int, list[str]]]:
-    # successive inputs with equal rates: (rate, first index in `last`, C member accesses)
+def rate_groups(layout: Layout, envelope: Envelope) -> list[tuple[Rate, list[tuple[int, str, str]]]]:
+    """Return successive inputs with equal rates: the rate, and (count, C member access, C index in `last`) of each.
+
+    `count` is the number of inputs in a loop over k, or 0 for a single one.
+    """
     members = [member for member, _ in entries(layout)]
     groups: list[tuple[Rate, int, list[str]]] = []
     for k, rate in enumerate(envelope.rates):
@@ -209,27 +161,35 @@ def _alike(layout: Layout, envelope: Envelope) -> list[tuple[Rate, int, list[str
                 last[2].append(members[rate.entry])
                 continue
         groups.append((rate, k, [members[rate.entry]]))
-    return groups
+    return [(rate, _each(same, first)) for rate, first, same in groups]
 
 
-def _each(members: list[str], first: int) -> list[tuple[str, str]]:
-    # (loop header, C text of the difference); `@` marks where the assignment begins
+def _each(members: list[str], first: int) -> list[tuple[int, str, str]]:
     if len(members) < _LOOP:
-        return [("", f"@{member} - state->last[{first + k}];") for k, member in enumerate(members)]
+        return [(0, member, str(first + k)) for k, member in enumerate(members)]
     stem, at = members[0].rstrip("]").rsplit("[", 1)
-    return [(f"for (int k = 0; k < {len(members)}; ++k) {{", f"@{stem}[{_plus(at)}] - state->last[{_plus(first)}];")]
+    return [(len(members), f"{stem}[{_plus(at)}]", _plus(first))]
+
+
+def _plus(first: int | str) -> str:
+    # C text of the index k from `first` on
+    return "k" if int(first) == 0 else f"k + {first}"
+
+
+def templates_of(*files: str) -> dict[str, str]:
+    """Return the templates of files whose names are those of their templates, without the ending .j2."""
+    return {file: f"{file}.j2" for file in files}
 
 
 EXAMPLES: Mapping[str, str] = MappingProxyType(
     {
-        **{file: f"{file}.j2" for file in ("main_example.c", "loop.h", "loop.c", "board.h", "board_example.c")},
-        **{f"freertos/{file}": f"freertos/{file}.j2" for file in ("control_task.h", "control_task.c")},
-        **{f"freertos/{file}": f"freertos/{file}.j2" for file in ("main_example.c", "README.md")},
-        **{f"zephyr/{file}": f"zephyr/{file}.j2" for file in ("module.yml", "CMakeLists.txt", "Kconfig", "README.md")},
+        **templates_of("main_example.c", "loop.h", "loop.c", "board.h", "board_example.c", "freertos/control_task.h"),
+        **templates_of("freertos/control_task.c", "freertos/main_example.c", "freertos/README.md", "zephyr/module.yml"),
+        **templates_of("zephyr/CMakeLists.txt", "zephyr/Kconfig", "zephyr/README.md"),
         "zephyr/sample/CMakeLists.txt": "zephyr/sample_CMakeLists.txt.j2",
         "zephyr/sample/prj.conf": "zephyr/sample_prj.conf.j2",
         "zephyr/sample/src/main.c": "zephyr/sample_main.c.j2",
-        **{f"ros2/{file}": f"ros2/{file}.j2" for file in ("package.xml", "CMakeLists.txt", "README.md")},
+        **templates_of("ros2/package.xml", "ros2/CMakeLists.txt", "ros2/README.md"),
         "ros2/src/controller_node.cpp": "ros2/controller_node.cpp.j2",
         "ros2/launch/controller.launch.py": "ros2/controller.launch.py.j2",
         "ros2/config/params.yaml": "ros2/params.yaml.j2",

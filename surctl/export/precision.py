@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +26,8 @@ _NUMPY: dict[Real, type[np.float64] | type[np.float32]] = {"float64": np.float64
 @dataclass(frozen=True, eq=False)
 class _Same(WrappedLaw):
     # shares gains and instruction list with the wrapped law
+    real: Real
+
     @property
     def gains(self) -> Layout:
         return self.law.gains
@@ -31,6 +35,15 @@ class _Same(WrappedLaw):
     @property
     def block(self) -> Block:
         return self.law.block
+
+    def initial_state(self) -> Vector:
+        """Return the controller state before the first step (nx,)."""
+        return rounded(self.law.initial_state(), self.real)
+
+    def step(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
+        """Run one step, without a check of rates; a refused one gives tau = 0, x_next = x and a negative status."""
+        rows = evaluated(self, *(np.atleast_2d(np.asarray(v, dtype=float)) for v in (x, u, p)))
+        return ControllerStep(rows.tau[0], rows.state[0], int(rows.status[0]), rows.telemetry[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +56,6 @@ class Rounded(_Same):
     """
 
     real: Real = "float32"
-
-    def initial_state(self) -> Vector:
-        """Return the controller state before the first step (nx,)."""
-        return rounded(self.law.initial_state(), self.real)
-
-    def step(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
-        """Run one guarded step; a number that is not finite gives tau = 0, x_next = x and status NONFINITE."""
-        return _step(self, x, u, p)
 
     def steps(self, X: Vector, U: Vector, P: Vector) -> Rows:
         """Run one step from each row of X (T, nx), U (T, nu), P (T, np)."""
@@ -71,9 +76,7 @@ class Rounded(_Same):
         number = np.isfinite(np.hstack(outputs)).all(axis=1)
         safe.status[finite[number & (status < 0.0)]] = ITER
         fine = number & (status >= 0.0) & (status <= 32767.0)
-        done = finite[fine]
-        for mine, fresh in zip(safe, (status, *outputs[:2], outputs[3]), strict=True):
-            mine[done] = fresh[fine]
+        _put(safe, finite[fine], (part[fine] for part in (status, *outputs[:2], outputs[3])))
         return safe
 
 
@@ -82,26 +85,12 @@ class Guarded(_Same):
     """A law in Python that first checks its inputs as the guard of the exported C does."""
 
     envelope: Envelope
-    real: Real = "float64"
-
-    def initial_state(self) -> Vector:
-        """Return the controller state before the first step (nx,)."""
-        return self.law.initial_state()
-
-    def step(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
-        """Run one step without a check of rates; a number out of range gives tau = 0, x_next = x, negative status."""
-        return _step(self, x, u, p)
-
-
-def _step(law: Rounded | Guarded, x: Vector, u: Vector, p: Vector) -> ControllerStep:
-    rows = evaluated(law, *(np.atleast_2d(np.asarray(v, dtype=float)) for v in (x, u, p)))
-    return ControllerStep(rows.tau[0], rows.state[0], int(rows.status[0]), rows.telemetry[0])
 
 
 def in_precision(law: Exportable, real: Real, envelope: Envelope | None = None) -> Exportable:
     """Return the law as a target computes it: wrapped in `Rounded` for float32, in `Guarded` if `envelope` is given."""
     inner = law if real == "float64" else Rounded(law)
-    return inner if envelope is None else Guarded(inner, envelope, real)
+    return inner if envelope is None else Guarded(inner, real, envelope)
 
 
 def plain(law: Exportable) -> Exportable:
@@ -138,9 +127,14 @@ def _let_in(law: Guarded, records: Records) -> Rows:
     index = np.flatnonzero(status != RANGE)  # the law itself refuses numbers that are not finite
     if index.size:
         computed = evaluated(law.law, records.X[index], records.U[index], records.P[index])
-        for mine, fresh in zip(out, law.envelope.limited(computed), strict=True):
-            mine[index] = fresh
+        _put(out, index, law.envelope.limited(computed))
     return out
+
+
+def _put(rows: Rows, at: NDArray[np.intp] | list[int], others: Iterable[NDArray[Any]]) -> None:
+    """Replace some rows by others."""
+    for mine, fresh in zip(rows, others, strict=True):
+        mine[at] = fresh
 
 
 def replayed(
@@ -159,31 +153,32 @@ def replayed(
     """
     rows = evaluated(law, records.X, records.U, records.P) if rows is None else rows
     counts = np.arange(len(records)) if counts is None else counts
-    if isinstance(law, Guarded):
-        rows = law.envelope.chained(rows, records, load, dt=law.dt, real=law.real, counts=counts)
-    if all(port.gap == "keep" for port in law.state):
+    within = law.envelope if isinstance(law, Guarded) and law.envelope.rates else None
+    ages = any(port.gap != "keep" for port in law.state)
+    if within is None and not ages:
         return rows
-    return _after_gaps(law, rows, records, load, counts)
-
-
-def _after_gaps(
-    law: Exportable, rows: Rows, records: Records, load: NDArray[np.bool_], counts: NDArray[np.int64]
-) -> Rows:
-    # a step is computed again from the aged state, if its sample is not the one after that of the last accepted step
     real: Real = law.real if isinstance(law, Guarded | Rounded) else "float64"
     out = Rows(rows.status.copy(), rows.tau.copy(), rows.state.copy(), rows.telemetry.copy())
-    last = -1
+    last = -1  # the last accepted step
     for k in range(len(records)):
-        gap = int(counts[k] - counts[last]) if last >= 0 and not load[k] else 1
-        if gap > 1 and out.status[k] not in (NONFINITE, RANGE):
-            x = aged(law, rounded(records.X[k], real), gap, real=real)
-            for mine, fresh in zip(
-                out, evaluated(law, x[None], records.U[k : k + 1], records.P[k : k + 1]), strict=True
-            ):
-                mine[k] = fresh[0]
         last = -1 if load[k] else last
+        x, u, p = records.X[k], records.U[k], records.P[k]
+        if last >= 0 and out.status[k] not in (NONFINITE, RANGE):
+            gap = int(counts[k] - counts[last])
+            if within is not None and within.jumped(u, records.U[last], gap, dt=law.dt, real=real):
+                _put(out, [k], _refused(law, np.array([RANGE]), x[None]))
+            elif ages and gap > 1:
+                old = aged(law, rounded(x, real), gap, real=real)
+                _put(out, [k], evaluated(law, old[None], u[None], p[None]))
         last = k if out.status[k] >= 0 else last
     return out
+
+
+def differing(mine: NDArray[Any], theirs: NDArray[Any]) -> NDArray[np.intp]:
+    """Return the indices of the rows in which a number differs in some bit; any two NaN count as equal."""
+    bits = f"u{mine.itemsize}"
+    same = (mine.view(bits) == theirs.view(bits)) | (np.isnan(mine) & np.isnan(theirs))
+    return np.flatnonzero(~same.all(axis=1))
 
 
 def rounded(values: Vector, real: Real = "float32") -> Vector:

@@ -23,6 +23,7 @@ from surctl.export.bundle import Bundle, write_bundle
 from surctl.export.contract import Exportable, command_size
 from surctl.export.envelope import Records, Rows
 from surctl.export.precision import in_precision
+from surctl.export.rendering import templates
 from surctl.ir.cache import FLAGS, cached_bytes, compile_program, compiler_version, find_compiler, further_flags
 from surctl.ir.native import loaded
 
@@ -186,32 +187,6 @@ def code_bytes(code: Sequence[Path], tool: str = "size") -> int | None:
 # The exported C with its guard, compiled as a library and called in this process
 
 
-_SHIM = """\
-#include "{name}.h"
-#include <stdlib.h>
-
-typedef struct {{ {name}_state_t state; {name}_gains_t gains; }} surctl_unit_t;
-
-void *surctl_unit(void);
-int surctl_start(void *unit);
-int surctl_step(void *unit, const void *input, void *output);
-int surctl_sizes(int which);
-
-void *surctl_unit(void) {{ return calloc(1, sizeof(surctl_unit_t)); }}
-int surctl_start(void *unit)
-{{
-    surctl_unit_t *const one = (surctl_unit_t *)unit;
-    return {name}_initialize(&one->state, &one->gains);
-}}
-int surctl_step(void *unit, const void *input, void *output)
-{{
-    surctl_unit_t *const one = (surctl_unit_t *)unit;
-    return {name}_step(&one->state, &one->gains, (const {name}_input_t *)input, ({name}_output_t *)output);
-}}
-int surctl_sizes(int which) {{ return which ? (int)sizeof({name}_output_t) : (int)sizeof({name}_input_t); }}
-"""
-
-
 class ExportedStep(NamedTuple):
     """Result of one step of the exported C.
 
@@ -280,8 +255,12 @@ class ExportedController:
 
 def _key(bundle: Bundle) -> str:
     parts = [f"{name}\0{bundle.files[name]}" for name in (*bundle.sources, *bundle.headers)]
-    parts += [_SHIM, *FLAGS, *further_flags(), find_compiler(), compiler_version(), platform.platform()]
+    parts += [_library(bundle), *FLAGS, *further_flags(), find_compiler(), compiler_version(), platform.platform()]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+def _library(bundle: Bundle) -> str:
+    return templates().get_template("library.c.j2").render(name=bundle.name)
 
 
 def _compiled(bundle: Bundle) -> bytes:
@@ -289,6 +268,6 @@ def _compiled(bundle: Bundle) -> bytes:
         folder = Path(scratch)
         for name in (*bundle.sources, *bundle.headers):
             (folder / name).write_text(bundle.files[name], encoding="utf-8")
-        (folder / "unit.c").write_text(_SHIM.format(name=bundle.name), encoding="utf-8")
+        (folder / "unit.c").write_text(_library(bundle), encoding="utf-8")
         code = [folder / name for name in ("unit.c", *bundle.sources)]
         return compile_program(code, folder / "unit.so", flags=("-shared", "-fPIC")).read_bytes()

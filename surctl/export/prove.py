@@ -36,7 +36,9 @@ from surctl.errors import InputError, SurctlError, ToolMissing
 from surctl.export.bundle import Bundle, manifest_with
 from surctl.export.contract import Exportable, commands, entries
 from surctl.export.envelope import anywhere
-from surctl.ir import Block, Loop, Program, Real, Routine, c_literal
+from surctl.export.rendering import templates
+from surctl.ir import Block, Loop, Program, Routine, c_literal
+from surctl.ir.c99 import C_TYPE
 from surctl.ir.routine import nested
 
 Vector = NDArray[np.float64]
@@ -235,50 +237,26 @@ def _first_error(log: str) -> str:
 
 def _program(law: Exportable, bundle: Bundle, limit: Vector | None) -> str:
     # proof.c
-    name, real = bundle.name, bundle.real
+    real = bundle.real
     within = bundle.envelope or anywhere(law).fitted(law, real)
-    lines = [f"state.x[{k}] = {_any(bounds, real)};" for k, bounds in enumerate(within.state)]
+    ranges = [(f"state.x[{k}]", bounds) for k, bounds in enumerate(within.state)]
     for struct, layout, box in (("input", law.inputs, within.inputs), ("gains", law.gains, within.gains)):
-        pairs = zip(entries(layout), box, strict=True)
-        lines += [f"{struct}.{member} = {_any(bounds, real)};" for (member, _), bounds in pairs]
-    lines += [f"state.last[{k}] = {_any(within.inputs[rate.entry], real)};" for k, rate in enumerate(within.rates)]
-    if not law.gains.size:
-        lines.append(f"gains.reserved = {c_literal(0.0, real)};")
+        ranges += [(f"{struct}.{member}", bounds) for (member, _), bounds in zip(entries(layout), box, strict=True)]
+    ranges += [(f"state.last[{k}]", within.inputs[rate.entry]) for k, rate in enumerate(within.rates)]
     ends = np.zeros((2, 0)) if limit is None else np.array([-limit, limit] if np.ndim(limit) == 1 else limit)
-    bounds = [tuple(Decimal(float(np.dtype(real).type(end))) for end in pair) for pair in ends.T]
-    taus = [] if limit is None else [member for member, _ in entries(commands(law))]
-    claims = [
-        f"/*@ assert limit: {least} <= output.{tau} <= {most}; */"
-        for tau, (least, most) in zip(taus, bounds, strict=True)
-    ]
-    body = [
-        *("state.sample = any_count(0U, 4294967295U);", "input.sample = any_count(0U, 4294967295U);"),
-        *("state.counted = any_count(0U, 1U);", *lines),
-        f"Frama_C_show_each_status({name}_step(&state, &gains, &input, &output));",
-        *claims,
-    ]
-    return "\n".join(
-        [
-            f"/* The analysed program: one step of {name} for every state, input and gain that its guard accepts. */",
-            f'#include "{name}.h"',
-            '#include "__fc_builtin.h"',
-            "",
-            "#define any_count Frama_C_unsigned_int_interval",
-            f"#define any_number Frama_C_{'double' if real == 'float64' else 'float'}_interval",
-            "",
-            "void proof(void);",
-            "void proof(void)",
-            "{",
-            *(f"    static {name}_{struct}_t {struct};" for struct in ("state", "gains", "input", "output")),
-            *(f"    {line}" for line in body),
-            "}",
-            "",
-        ]
+    limits = [tuple(Decimal(float(np.dtype(real).type(end))) for end in pair) for pair in ends.T]
+    return (
+        templates()
+        .get_template("proof.c.j2")
+        .render(
+            name=bundle.name,
+            real=C_TYPE[real],
+            f=lambda number: c_literal(float(number), real),
+            gains=law.gains,
+            ranges=ranges,
+            limits=[] if limit is None else list(zip((m for m, _ in entries(commands(law))), limits, strict=True)),
+        )
     )
-
-
-def _any(bounds: Vector, real: Real) -> str:
-    return f"any_number({', '.join(c_literal(float(bound), real) for bound in bounds)})"
 
 
 def with_proof(bundle: Bundle, report: ProofReport) -> Bundle:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from types import MappingProxyType
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from surctl import __version__
 from surctl.export.contract import (
@@ -33,15 +35,14 @@ from surctl.export.guard_text import (
     ANY_NUMBER,
     EXAMPLES,
     MANY,
+    bound_text,
     box_lines,
     example_values,
     flat_lines,
-    jump_lines,
-    keep_lines,
-    limit_lines,
     number_calls,
-    order_lines,
     range_text,
+    rate_groups,
+    templates_of,
 )
 from surctl.export.supplement import (
     RESTART,
@@ -58,6 +59,7 @@ from surctl.ir.c99 import C_TYPE
 from surctl.ir.c99_program import PRAGMA, inline_helpers, own_helpers, program_lines
 from surctl.ir.c99_routine import emit_parts
 from surctl.ir.cache import FLAGS
+from surctl.ir.program import LEAVES, TRUTHS
 
 _FUNCTION = re.compile(r"^static (?:inline )?(?:const )?\w+ \*?(\w+)\(", re.MULTILINE)
 
@@ -92,35 +94,13 @@ def _cell(text: str) -> str:
     return _one_line(text).replace("|", "\\|")
 
 
-_TYPES = ("Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64", "Boolean", "String")
-"""Types of FMI 3.0 of which a unit has no variable, apart from binaries and clocks."""
-
-_SUPPORTED = (
-    *("GetVersion", "SetDebugLogging", "InstantiateCoSimulation", "FreeInstance", "EnterInitializationMode"),
-    *("ExitInitializationMode", "Terminate", "Reset", "GetFloat64", "SetFloat64", "GetInt32", "SetInt32", "DoStep"),
-    *("GetFMUState", "SetFMUState", "FreeFMUState", "SerializedFMUStateSize", "SerializeFMUState"),
-    *("DeserializeFMUState", "InstantiateModelExchange", "InstantiateScheduledExecution"),
-)
+_IN_QUOTES = {'"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#09;"}
+"""Characters that the attribute of an XML element holds in another form, apart from &, < and >."""
 
 
-def _fmi3_values() -> dict[str, Any]:
-    """Return the values of the template of FMI 3.0: names of all functions, and arguments of the unsupported ones.
-
-    The unsupported functions, which return an error, are listed with their arguments after the instance.
-    """
-    listed, _, _ = templates().loader.get_source(templates(), "fmi3_unsupported.txt")  # type: ignore[union-attr]
-    unsupported = [
-        (name, tuple(filter(None, arguments.split(", ")))) for name, arguments in re.findall(r"(\w+)\((.*)\)", listed)
-    ]
-    names = [f"fmi3{name}" for name in (*_SUPPORTED, *(f"{do}{type_}" for type_ in _TYPES for do in ("Get", "Set")))]
-    return {
-        "fmi3_functions": sorted([*names, *(name for name, _ in unsupported)]),
-        "fmi3_types": list(_TYPES),
-        "fmi3_unsupported": unsupported,
-    }
-
-
-_TRUTHS = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
+def _general(numbers: ArrayLike, digits: int = 6) -> str:
+    """Return one or more numbers with at most this many digits, separated by commas."""
+    return ", ".join(f"{number:.{digits}g}" for number in np.atleast_1d(numbers))
 
 
 def _direct_law(law: Exportable, block: Program, name: str, real: Real) -> Parts:
@@ -134,19 +114,8 @@ def _direct_law(law: Exportable, block: Program, name: str, real: Real) -> Parts
         [f"input->{member}" for member, _ in entries(law.inputs)],
         [f"gains->{member}" for member, _ in entries(law.gains)],
     ]
-    left = [
-        [f"output->{member}" for member, _ in entries(commands(law))],
-        [f"next[{k}]" for k in range(law.state.size)],
-        ["*status"],
-        [f"output->{member}" for member, _ in entries(telemetry_ports(law))],
-    ]
     stays = {f"next[{k}]" for k in range(law.state.size)} - {f"next[{k}]" for k in _changing(block)}
-    stores = [
-        (to, ref)
-        for place, refs in zip(left, block.output_refs, strict=True)
-        for to, ref in zip(place, refs, strict=True)
-        if to not in stays
-    ]
+    stores = [(to, ref) for to, ref in _stores(law, block, "next") if to not in stays]
     kind = C_TYPE[real]
     body = program_lines(
         block.instructions, stores, address=lambda which, at: members[which][at], real=real, apart=True
@@ -177,25 +146,23 @@ def _changing(block: Program) -> list[int]:
     return [k for k, i in moved if i.op != "input" or i.args != (0, k)]
 
 
+def _stores(law: Exportable, block: Program, state: str) -> Iterator[tuple[str, int]]:
+    """Return the C text of each result of a step, with the next state in the array `state`, and its list position."""
+    left = [
+        *(f"output->{member}" for member, _ in entries(commands(law))),
+        *(f"{state}[{k}]" for k in range(law.state.size)),
+    ]
+    left += ["*status", *(f"output->{member}" for member, _ in entries(telemetry_ports(law)))]
+    return zip(left, itertools.chain(*block.output_refs), strict=True)
+
+
 def _results(law: Exportable, block: Program) -> list[str]:
     """Return the C names of results that may be NaN or infinite; constants, copied inputs and truth values cannot."""
-    left = [
-        [f"output->{member}" for member, _ in entries(commands(law))],
-        [f"state->next[{k}]" for k in range(law.state.size)],
-        [],
-        [f"output->{member}" for member, _ in entries(telemetry_ports(law))],
-    ]
-    visited, checked = set[int](), list[str]()
-    for place, refs in zip(left, block.output_refs, strict=True):
-        for to, ref in zip(place, refs, strict=False):
-            if (
-                ref not in visited
-                and block.instructions[ref].op not in ("const", "input")
-                and block.instructions[ref].op not in _TRUTHS
-            ):
-                visited.add(ref)
-                checked.append(to)
-    return checked
+    checked: dict[int, str] = {}
+    for to, ref in _stores(law, block, "state->next"):
+        if to != "*status" and block.instructions[ref].op not in LEAVES | TRUTHS:
+            checked.setdefault(ref, to)
+    return list(checked.values())
 
 
 Vector = NDArray[np.float64]
@@ -245,23 +212,12 @@ def render_files(
         **({f"{name}_gains.h": "gains.h.j2", f"{name}_gains.c": "gains.c.j2"} if law.gains.size else {}),
         **{file: "law_part.c.j2" for file, _, _ in of_law},
         f"{name}_selftest.c": "selftest.c.j2",
-        "sil_main.c": "sil_main.c.j2",
-        "Makefile": "Makefile.j2",
-        "link.h": "link.h.j2",
-        "link.c": "link.c.j2",
-        "controller.c": "controller.c.j2",
-        "target_start.c": "target_start.c.j2",
-        "target_link.c": "target_link.c.j2",
-        "target.ld": "target.ld.j2",
+        **templates_of("sil_main.c", "Makefile", "link.h", "link.c", "controller.c"),
+        **templates_of("target_start.c", "target_link.c", "target.ld"),
         **EXAMPLES,
-        "CMakeLists.txt": "CMakeLists.txt.j2",
-        "pyproject.toml": "pyproject.toml.j2",
-        "setup.py": "setup.py.j2",
+        **templates_of("CMakeLists.txt", "pyproject.toml", "setup.py"),
         f"{name}.py": "wrapper.py.j2",
-        "library.properties": "library.properties.j2",
-        "arduino_example.ino": "arduino_example.ino.j2",
-        "LICENSE": "LICENSE.j2",
-        "README.md": "README.md.j2",
+        **templates_of("library.properties", "arduino_example.ino", "LICENSE", "README.md"),
         **supplement.templates(law),
     }
     own = {file: {"about": about, "text": text} for file, about, text in of_law}
@@ -324,7 +280,6 @@ def render_unit(
         "transfers": transfers,
         "f": lambda text: c_literal(float(text), real),
         "mission_rows": rows,
-        **_fmi3_values(),
         **_words(real),
     }
     return {file: templates().get_template(f"{file}.j2").render(values) for file in (f"fmi{fmi}.c", "fmu.h")}
@@ -340,9 +295,8 @@ def templates() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["comment"] = comment
-    environment.filters["cell"] = _cell
-    environment.filters["wrapped"] = _wrapped
+    environment.filters |= {"comment": comment, "cell": _cell, "line": _one_line, "wrapped": _wrapped}
+    environment.filters |= {"g": _general, "degrees": math.degrees, "xml": partial(escape, entities=_IN_QUOTES)}
     return environment
 
 
@@ -353,6 +307,8 @@ def _words(real: Real) -> dict[str, Any]:
         "precision": real,
         "largest": "DBL_MAX" if double else "FLT_MAX",
         "absolute": "fabs" if double else "fabsf",
+        "floor": "floor" if double else "floorf",
+        "turn": 2.0 * math.pi,
     }
 
 
@@ -450,7 +406,7 @@ def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
     ranges = {
         port.name: range_text(box[layout.slice(port.name)]) for layout, box in boxes for port in layout if port.size
     }
-    inputs = entries(law.inputs)
+    inputs, members = entries(law.inputs), entries(law.gains)
     return {
         "box": [
             flat_lines(law.state, within.state, "state->x", real),
@@ -462,10 +418,14 @@ def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
             for (layout, _), struct in zip(boxes, ("state", "input", "gains"), strict=True)
             for call in number_calls(layout, struct)
         ],
-        "limits": limit_lines(_thrusts(law), within.commands, real),
-        "orders": order_lines(law.gains, within),
-        "stored": keep_lines(law.inputs, within),
-        "jumps": jump_lines(law.inputs, within, law.dt, real),
+        "bound": partial(bound_text, real=real),
+        "limits": [
+            (member, ends)
+            for member, ends in zip(_thrusts(law), () if within.commands is None else within.commands, strict=False)
+            if max(-ends[0], ends[1]) < np.finfo(real).max
+        ],
+        "orders": [[members[at] for at in pair] for pair in within.orders],
+        "rates": rate_groups(law.inputs, within),
         "watched": [(k, inputs[rate.entry][0], rate) for k, rate in enumerate(within.rates)],
         "allowed": lambda port: ranges.get(port.name, ""),
         "bounded": lambda port: f"; {ranges[port.name]}" if ranges.get(port.name, ANY_NUMBER) != ANY_NUMBER else "",

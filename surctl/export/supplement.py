@@ -8,18 +8,17 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import groupby
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.bundle import numbers_sha256, ports_sha256
-from surctl.export.contract import Exportable, commands, is_robot_law, telemetry_ports
+from surctl.export.contract import Exportable, commands, telemetry_ports
 from surctl.ir import Block, Layout, Real
 from surctl.system import Plant
 
-# Wiring of an exported law, for the README of its bundle: where every input comes from, and what a status demands
+# Wiring of an exported law, for the README of its bundle: what is known of its inputs
 
 
 Vector = NDArray[np.float64]
@@ -78,57 +77,13 @@ def _runs(law: Exportable, rule: str, text: Callable[[float], str]) -> Iterator[
         yield indices[0], indices[-1] + 1, value[1]
 
 
-DEMANDS: Mapping[str, str] = MappingProxyType(
-    {
-        "OK": "Apply the command.",
-        "SATURATED": "Apply it. Alone it is no sign of trouble: a robot that brakes or evades uses all its thrust, by "
-        "sonar in about half of the steps, for seconds in a row (the simulated run: see Evidence); unarmed it means "
-        "nothing. If it comes "
-        "with a `path_error` that grows, the robot cannot follow: lower `cruise`, or surface.",
-        "SWITCHED": "Apply it, and log.",
-        "DEGRADED": "Apply it, and log. Normal in the first steps, before a position and echoes have arrived. If the "
-        "bit stays for a second later on, an obstacle is too near or too fast: be ready to stop.",
-        "TRAPPED": "Apply it: the robot holds its place. To end it, the operator disarms and arms: `loop.c` then "
-        "begins the mission anew, with an empty map. It may come long after `patience`: new ground counts as progress. "
-        "A program of your own calls `initialize`, which also sets the "
-        "tuned gains. If the way is closed, give it another mission before.",
-        "RESTARTED": "Apply it, and log: the board that counts samples was started again; every age is at its largest.",
-        "NULL": "Thrusters to zero. A mistake in the program: stop.",
-        "NONFINITE": "Thrusters to zero in this period. Go on calling the step; find the input that is no number.",
-        "RANGE": "Thrusters to zero in this period. Go on calling the step. `gains_check` reports whether a gain is "
-        "wrong; otherwise an input is out of its range or jumped.",
-        "STALE": "Thrusters to zero in this period. The sample number did not rise: the sensor task stands still.",
-        "ITER": "Thrusters to zero in this period. Go on calling the step, and report it: the law must not return it.",
-    }
-)
-"""What a program does after a step with this status."""
-
-UNKNOWN = "See unit and meaning in the table of inputs."
-"""Origin of an input of which nothing more is known."""
-
-
-def _demands(law: Exportable) -> dict[str, str]:
-    texts = dict(DEMANDS)
-    if not law.gains.size:
-        texts["RANGE"] = (
-            "Thrusters to zero in this period. Go on calling the step; an input is out of its range or jumped."
-        )
-    return texts if is_robot_law(law) else {k: v.replace("Thrusters", "Actuators") for k, v in texts.items()}
-
-
-def step_line(law: Exportable) -> str:
-    """Return the line that says how often the step runs."""
-    return f"Step: every {law.dt:g} s, from a timer; a period that is missed is counted, not caught up."
-
-
 def wiring_values(law: Exportable) -> dict[str, Any]:
     """Return the values of the template of the wiring section, for a controller of which no more is known."""
     return {
-        "demands": _demands(law),
-        "wires": [(port.name, UNKNOWN) for port in law.inputs],
-        "sonar_lines": [],
-        "rate_lines": [step_line(law), "Inputs: measured within the period before the step; the law assumes no delay."],
-        "thruster_rows": [],
+        "wiring": "wiring.md.j2",
+        "equipment": None,
+        "vehicle": None,
+        "thrusters": (),
         "ages": [port.name for port in law.state if port.gap == "age"],
         "restart_samples": RESTART,
         "gap_s": f"{longest_gap(law.dt) * law.dt:.3g}",
@@ -138,8 +93,7 @@ def wiring_values(law: Exportable) -> dict[str, Any]:
         "arriving": False,
         "stalling": [],
         "listening": False,
-        "plant_line": "",
-        "coasting": "",
+        "coasting": (),
         "own_known": False,
         "fed": False,
         "rows": [],

@@ -34,10 +34,11 @@ from dataclasses import dataclass, field
 from functools import cache, lru_cache, reduce
 from typing import TypeAlias
 
-_VALUES: Mapping[type[ast.AST], Callable[[int, int], int]] = {
+VALUES: Mapping[type[ast.AST], Callable[[int, int], int]] = {
     **{ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Lt: operator.lt, ast.LtE: operator.le},
     **{ast.Gt: operator.gt, ast.GtE: operator.ge, ast.Eq: operator.eq, ast.NotEq: operator.ne},
 }
+"""Operations on whole numbers whose value a bound needs."""
 
 
 @lru_cache(maxsize=32)
@@ -475,7 +476,7 @@ class _Bound:
                 return None if place is None else self.tables[name].get(place)
             case ast.BinOp(left=left, op=op, right=right) | ast.Compare(left=left, ops=[op], comparators=[right]):
                 a, b = self._value(left, known), self._value(right, known)
-                return None if a is None or b is None or type(op) not in _VALUES else int(_VALUES[type(op)](a, b))
+                return None if a is None or b is None or type(op) not in VALUES else int(VALUES[type(op)](a, b))
             case ast.BoolOp(op=op, values=values):
                 truths = [self._value(value, known) for value in values]
                 decided = isinstance(op, ast.Or)

@@ -17,31 +17,15 @@ from surctl.errors import InputError
 from surctl.ir.folding import Numbering
 from surctl.ir.program import Instruction, Program, drop_dead
 
-_FAMILIES = re.compile(
-    r"""
-    (?:
-        ADJ|AF|AI|AIO|ATOMIC|BC|BUS|CLD|CLOCK|CLONE|DBL|EAI|EXIT|FLT|FPE|FP|HUGE|ILL|INADDR|
-        IN|IPPORT|IPPROTO|IPV6|IP|ITIMER|LC|LDBL|MATH|MCAST|MOD|MSG|NETDB|NI|NL|PF|POLL|
-        PTHREAD|REG|RENAME|SA|SCHED|SCM|SEEK|SEGV|SHUT|SI|SIG|SIGEV|SOCK|SOL|SO|STA|TCPI|
-        TCPOLEN|TCPOPT|TCP|TH|TRAP|XATTR
-    )_[A-Z0-9_]+
-    | (?:
-        BOOL|CHAR|INTMAX|INTPTR|INT|INT8|INT16|INT32|INT64|LLONG|LONG|LONG_LONG|PTRDIFF|SCHAR|
-        SHRT|SIZE|SSIZE|UCHAR|UINT|UINT8|UINT16|UINT32|UINT64|UINTMAX|UINTPTR|ULLONG|ULONG|
-        ULONG_LONG|USHRT|WCHAR|WINT|U?INT_(?:LEAST|FAST)(?:8|16|32|64)
-    )_(?:BIT|MAX|MIN|WIDTH)
-    | (?:PRI|SCN)[a-zX](?:LEAST|FAST)?(?:8|16|32|64|MAX|PTR)
-    | M_(?:[12]_)?(?:E|LN2|LN10|LOG2E|LOG10E|PI|SQRTPI|SQRT2|PI_2|PI_4|SQRT1_2)(?:f|l|f32x?|f64x?|f128)?
-    | SIG[A-Z0-9]{2,}
-    | SNAN(?:F|L|F32X?|F64X?|F128)?
-    | si_(?:addr|addr_lsb|arch|band|call_addr|fd|int|lower|overrun|pid|pkey|ptr|status|stime|syscall|timerid)
-    | si_(?:uid|upper|utime|value) | sa_(?:handler|sigaction) | sigev_notify_(?:attributes|function)
-    | s6_addr(?:16|32)?
-    | B[01]{1,8}
-    """,
-    re.VERBOSE,
-)
-_MACROS = frozenset(files("surctl.ir").joinpath("macros.txt").read_text(encoding="utf-8").split())
+
+def _listed(file: str) -> str:
+    return files("surctl.ir").joinpath(file).read_text(encoding="utf-8")
+
+
+_WORDS = frozenset(_listed("words.txt").split())
+"""Keywords of C99, C11 and C++ (headers are read by C++ too), and words that the standard headers define."""
+
+_MACROS, _FAMILIES = frozenset(_listed("macros.txt").split()), re.compile(_listed("macro_families.txt"), re.VERBOSE)
 
 
 def _is_macro(name: str) -> bool:
@@ -192,22 +176,6 @@ C_TYPE: Mapping[Real, str] = MappingProxyType({"float64": "double", "float32": "
 WIDTH = 120
 """Largest number of characters in a line of C text."""
 
-# C99, C11 and C++ keywords (headers are read by C++ too), and words that the standard headers define
-_WORDS = frozenset(
-    re.findall(
-        r"\w+",
-        """
-        auto break case char const continue default do double else enum extern float for goto if inline int
-        long register restrict return short signed sizeof static struct switch typedef union unsigned void
-        volatile while alignas alignof asm bool catch char8_t char16_t char32_t class concept consteval
-        constexpr constinit const_cast co_await co_return co_yield decltype delete dynamic_cast explicit
-        export false friend mutable namespace new noexcept nullptr operator private protected public
-        reinterpret_cast requires static_assert static_cast template this thread_local throw true try typeid
-        typename using virtual wchar_t and and_eq bitand bitor compl not not_eq or or_eq xor xor_eq main
-        errno assert NULL EOF
-        """,
-    )
-)
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 
 

@@ -7,12 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from surctl.ir.c99 import C_TYPE, Real, broken, c_literal, signature
-from surctl.ir.procedure import Procedure, Typed
+from surctl.ir.procedure import BINARY, COMPARED, Procedure, Typed
 
-_SIGNS: Mapping[type[ast.AST], str] = {
-    **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.And: "&&", ast.Or: "||"},
-    **{ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="},
-}
+_SIGNS: Mapping[type[ast.AST], str] = {**BINARY, **COMPARED, ast.And: "&&", ast.Or: "||"}
 
 
 _VECTORS = """#if defined(__GNUC__) && !defined(__clang__)

@@ -13,26 +13,18 @@ from surctl.ir.c99_procedure import emit_procedure
 from surctl.ir.c99_routine import RoutineText, Writer, feeds_of, function_key
 from surctl.ir.folding import shortened
 from surctl.ir.procedure import Procedure
-from surctl.ir.program import Instruction, Program
+from surctl.ir.program import LIBM, OPERATIONS, Instruction, Program
 from surctl.ir.routine import Block, Gather, Loop, Routine
 
 _INLINE = 300  # largest number of operations of a function that may be inlined
 
-# kinds of the operands and of the result: v is a number, m a truth value
-_KINDS = {
-    **dict.fromkeys(("lt", "le", "eq", "ne"), "vvm"),
-    **dict.fromkeys(("and", "or"), "mmm"),
-    "not": "mm",
-    "select": "mvvv",
-    "if_else_zero": "mvv",
-}
 _WORDS = {"if_else_zero": "ONLY_IF"}  # the names of all other macros are those of the operations
 _IN_PLACE = {  # operations that some dialects compute number by number
     "fma": "FUSED({0}, {1}, {2})",
     "sqrt": "ROOT({0})",
     "floor": "ROUND_DOWN({0})",
     "atan2": "LIBRARY_2(atan2, {0}, {1})",
-    **{name: f"LIBRARY({name}, {{0}})" for name in ("sin", "cos", "acos")},
+    **{name: f"LIBRARY({name}, {{0}})" for name in LIBM - {"atan2"}},
 }
 
 
@@ -118,7 +110,7 @@ def _assignment(instruction: Instruction, at: int, truths: set[int], strides: tu
         return f"const vec v{at} = SET({c_literal(instruction.number)});"
     if op == "input":
         return f"const vec v{at} = LOAD(in{args[0]}, {args[1] * strides[args[0]]});"
-    kinds = _KINDS.get(op, "v" * (len(args) + 1))
+    kinds = OPERATIONS[op].kinds
     operands = [_truth(a, truths) if kind == "m" else _number(a, truths) for a, kind in zip(args, kinds, strict=False)]
     if op in _IN_PLACE:
         return f"vec v{at} = {operands[0]}; {_IN_PLACE[op].format(f'v{at}', *operands[1:])};"

@@ -1,18 +1,22 @@
-"""sin, cos, atan2 and acos from exactly defined operations only, so that their values have equal bytes on all machines.
+"""sin, cos, tan, atan2, acos, exp, log and tanh from exactly defined operations only: equal bytes on all machines.
 
-Arguments are reduced by the method of Cody and Waite (1980): to |r| ≤ π/4 for sin and cos, and to |t| ≤ tan(π/8) for
-atan2. The polynomials in the square of the reduced argument interpolate (sin r / r − 1) / r², (cos r − 1 + r²/2) / r⁴
-and (atan t / t − 1) / t² at Chebyshev nodes. The polynomials were computed with 60 digits and rounded to double; their
-errors are below 3e-17, 2e-18 and 4e-17. For float there are shorter polynomials, with errors below 1e-8, 1e-9 and 1e-9,
-and π/2 is split into three numbers. The float versions cost half as much.
+Arguments are reduced by the method of Cody and Waite (1980): to |r| ≤ π/4 for sin and cos, to |t| ≤ tan(π/8) for atan2,
+to |r| ≤ ln(2)/2 for exp, and to √½ ≤ m ≤ √2 for log. The polynomials interpolate (sin r / r − 1) / r², (cos r − 1 +
+r²/2) / r⁴, (atan t / t − 1) / t², (exp r − 1 − r) / r² and, with s = (m − 1)/(m + 1), (artanh s / s − 1) / s² at
+Chebyshev nodes. They were computed with 60 digits and rounded to double; their errors are below 3e-17, 2e-18, 4e-17,
+2e-17 and 2e-18. For float there are shorter polynomials, with errors below 1e-8, 1e-9, 1e-9, 8e-9 and 1e-9, and π/2 is
+split into three numbers. The float versions cost half as much.
 
-In double, the error is 2e-16 for sin and cos with |x| ≤ 1e6, and 5e-16 for atan2 and acos, which is two to three units
-in the last place near 1. In float, the error is 4e-7 for atan2 and acos. For sin and cos in float, the error is 1.5e-7
-if |x| ≤ 3000, and half a unit in the last place of x for larger |x|.
+In double, the error is 2e-16 for sin and cos with |x| ≤ 1e6, 5e-16 for atan2 and acos, which is two to three units in
+the last place near 1, 3e-16 for tanh, and 4e-16 of the value for exp and log (of x near 1: 3e-16). In float, the error
+is 4e-7 for atan2 and acos, 2e-7 for tanh, and 3e-7 of the value for exp and log. For sin and cos in float, the error is
+1.5e-7 if |x| ≤ 3000, and half a unit in the last place of x for larger |x|.
 
-The value is NaN for sin and cos of a NaN, of an infinity and of |x| > 2²⁰, for atan2 of a NaN or of two infinities, and
-for acos outside [−1, 1]. atan2 treats −0 as +0, so that its values lie in (−π, π] and atan2(0, 0) = 0; the sine of −0
-is −0. For atan2, the sum of |y| and |x| must not overflow.
+The value is NaN for sin, cos and tan of a NaN, of an infinity and of |x| > 2²⁰, for atan2 of a NaN or of two
+infinities, for acos outside [−1, 1], for log of a negative number, and for exp, log and tanh of a NaN. log(0) is −∞.
+exp is 0 below −708 and ∞ above 709.4 (in float below −87 and above 88.3), so that no value is subnormal. atan2 treats
+−0 as +0, so that its values lie in (−π, π] and atan2(0, 0) = 0; the sine of −0 is −0. For atan2, the sum of |y| and |x|
+must not overflow.
 """
 
 from __future__ import annotations
@@ -25,7 +29,7 @@ from typing import NamedTuple
 
 from surctl.ir.c99 import Real
 from surctl.ir.folding import Numbering
-from surctl.ir.program import Program
+from surctl.ir.program import LIBM, Program
 from surctl.ir.routine import Block, changed_programs
 
 # Sine and cosine of angles that stay near a reference angle, by a short series around that angle
@@ -82,6 +86,9 @@ def _turned(text: Numbering, op: str, angle: int, distance: int) -> int:
 _HALF_PI = tuple(float.fromhex(x) for x in ("0x1.921p+0", "0x1.f6ap-13", "0x1.110b4611p-26", "0x1.4c4c6628b80dcp-59"))
 _TWO_BY_PI = float.fromhex("0x1.45f306dc9c883p-1")
 _LARGEST = 2.0**20
+# ln 2 in three parts: 13 and 13 bits, so that their products with an exponent are exact, and the remainder
+_LN_2 = tuple(float.fromhex(x) for x in ("0x1.62ep-1", "0x1.0bfp-15", "0x1.7d1cf79abc9e4p-28"))
+_BY_LN_2 = float.fromhex("0x1.71547652b82fep+0")
 _TAN_PI_8 = math.sqrt(2.0) - 1.0  # argument at which atan is reduced; its last bits do not matter
 
 _SIN = (
@@ -97,6 +104,15 @@ _ATAN = (
     *(0.07692182535116648, -0.06664502215671447, 0.058580687568615106, -0.05085030492810941),
     *(0.03921955253255129, -0.019162068915902573),
 )
+_EXP = (
+    *(0.5000000000000001, 0.16666666666666669, 0.04166666666662413, 0.008333333333330062, 0.0013888888917213717),
+    *(0.00019841269863053618, 2.4801521295954376e-05, 2.7557268459997064e-06, 2.7620088445409746e-07),
+    2.510038549551032e-08,
+)
+_LOG = (
+    *(0.3333333333333335, 0.19999999999949722, 0.14285714313001635, 0.11111105565129939, 0.09091444727837474),
+    *(0.07665855309105386, 0.07308292712444311),
+)
 
 
 class _Series(NamedTuple):
@@ -105,13 +121,17 @@ class _Series(NamedTuple):
     sin: tuple[float, ...]
     cos: tuple[float, ...]
     atan: tuple[float, ...]
+    exp: tuple[float, ...]
+    log: tuple[float, ...]
     half_pi: tuple[float, ...]
+    bits: int  # of the exponent's size
+    subnormal: float  # least normal number
     within: float = 0.0  # |r| is clamped to this, for proofs in a precision with a small largest number
 
 
 _SERIES: Mapping[Real, _Series] = MappingProxyType(
     {
-        "float64": _Series(_SIN, _COS, _ATAN, _HALF_PI),
+        "float64": _Series(_SIN, _COS, _ATAN, _EXP, _LOG, _HALF_PI, 10, 2.0**-1022),
         "float32": _Series(
             (-0.1666666466231438, 0.008332748270629749, -0.00019587890880412386),
             (0.04166666465950221, -0.0013888303035894866, 2.4547942085071572e-05),
@@ -120,7 +140,11 @@ _SERIES: Mapping[Real, _Series] = MappingProxyType(
                 0.10743731490791084,
                 -0.06451928208121749,
             ),
+            (0.5, 0.16666576989698775, 0.041666554617204574, 0.008363179052722578, 0.0013926183587713494),
+            (0.33333342522578013, 0.19994389141081403, 0.1479002652159422),
             _HALF_PI[:3],
+            7,
+            2.0**-126,
             1.0,
         ),
     }
@@ -128,7 +152,7 @@ _SERIES: Mapping[Real, _Series] = MappingProxyType(
 
 
 def without_libm(block: Block, real: Real = "float64") -> Block:
-    """Return the program or routine with sin, cos, atan2 and acos replaced by exact operations of number type `real`.
+    """Return the program or routine with the functions of `LIBM` replaced by exact operations of number type `real`.
 
     The module's docstring states the errors, and the values for zeros, infinities and NaN. An intermediate value that
     several functions need, such as a reduced angle, is computed once.
@@ -165,9 +189,6 @@ class _Formulas(Numbering):
     def __init__(self, series: _Series) -> None:
         super().__init__()
         self.series = series
-
-    def do(self, op: str, *args: int | float) -> int:
-        return self.add(op, tuple(self.constant(a) if isinstance(a, float) else a for a in args))
 
     def polynomial(self, z: int, coefficients: tuple[float, ...]) -> int:
         # Horner's rule; the constant coefficient comes first
@@ -234,7 +255,139 @@ class _Formulas(Numbering):
         below, above = self.do("sub", 1.0, x), self.do("add", x, 1.0)
         return self.do("twice", self.first_quadrant(self.do("sqrt", below), self.do("sqrt", above)))
 
+    def tan(self, x: int) -> int:
+        return self.do("div", self.sin(x), self.cos(x))
 
-_WRITTEN_OUT: Mapping[str, Callable[..., int]] = MappingProxyType(
-    {"sin": _Formulas.sin, "cos": _Formulas.cos, "atan2": _Formulas.atan2, "acos": _Formulas.acos}
+    def exp(self, x: int) -> int:
+        # 2^k exp r with |r| ≤ ln(2)/2 up to rounding
+        bits = self.series.bits
+        most = 2.0**bits - 1.0
+        bounded = self.do("fmax", self.do("fmin", x, most), -most)
+        k = self.do("floor", self.do("add", self.do("mul", bounded, _BY_LN_2), 0.5))
+        r = bounded
+        for part in _LN_2:
+            r = self.do("sub", r, self.do("mul", k, part))
+        value = self.do(
+            "add", self.do("add", self.do("mul", self.do("sq", r), self.polynomial(r, self.series.exp)), r), 1.0
+        )
+        # 2^|k|, bit by bit
+        left, scale = self.do("fmin", self.do("fabs", k), most), self.constant(1.0)
+        for bit in reversed(range(bits)):
+            has = self.do("le", 2.0**bit, left)
+            left = self.do("sub", left, self.do("if_else_zero", has, 2.0**bit))
+            scale = self.do("mul", scale, self.do("select", has, 2.0 ** (2**bit), 1.0))
+        value = self.do("mul", value, self.do("select", self.do("lt", k, 0.0), self.do("inv", scale), scale))
+        value = self.do("select", self.do("lt", k, 2.0 - most), 0.0, value)
+        return self.do("select", self.do("lt", most, k), math.inf, value)
+
+    def log(self, x: int) -> int:
+        # 2^e m with m in [√½, √2]; a subnormal number is scaled before
+        bits, digits = self.series.bits, 54 if self.series.bits == 10 else 24
+        tiny = self.do("lt", x, self.series.subnormal)
+        m = self.do("select", tiny, self.do("mul", x, 2.0**digits), x)
+        low, e = self.do("lt", m, 1.0), self.constant(0.0)
+        for bit in reversed(range(bits)):
+            scaled = self.do("mul", m, self.do("select", low, 2.0 ** (2**bit), 2.0 ** -(2**bit)))
+            has = self.do("eq", self.do("lt", scaled, 1.0), low)
+            m = self.do("select", has, scaled, m)
+            e = self.do("add", e, self.do("if_else_zero", has, 2.0**bit))
+        e = self.do("select", low, self.do("neg", e), e)
+        high, deep = self.do("lt", math.sqrt(2.0), m), self.do("lt", m, math.sqrt(0.5))
+        m = self.do("select", high, self.do("mul", m, 0.5), self.do("select", deep, self.do("twice", m), m))
+        e = self.do("sub", self.do("add", e, high), self.do("add", deep, self.do("if_else_zero", tiny, float(digits))))
+        s = self.do("div", self.do("sub", m, 1.0), self.do("add", m, 1.0))
+        z = self.do("sq", s)
+        value = self.do(
+            "twice", self.do("add", s, self.do("mul", self.do("mul", s, z), self.polynomial(z, self.series.log)))
+        )
+        for part in reversed(_LN_2):
+            value = self.do("add", value, self.do("mul", e, part))
+        value = self.do("select", self.do("lt", x, math.inf), value, x)  # keeps ∞ and NaN
+        value = self.do("select", self.do("eq", x, 0.0), -math.inf, value)
+        return self.do("select", self.do("lt", x, 0.0), self.do("sqrt", x), value)
+
+    def tanh(self, x: int) -> int:
+        e = self.exp(self.do("fmin", self.do("mul", x, -2.0), 80.0))
+        return self.do("sub", self.do("div", 2.0, self.do("add", e, 1.0)), 1.0)
+
+
+_WRITTEN_OUT: Mapping[str, Callable[..., int]] = MappingProxyType({name: getattr(_Formulas, name) for name in LIBM})
+
+
+# Functions that the instruction list has not, by those that it has
+
+_MOST_PRODUCTS = 1023  # largest whole exponent of a power by products
+
+
+def _arcsine(code: Numbering, x: int) -> int:
+    return code.do("atan2", x, code.do("sqrt", code.do("mul", code.do("sub", 1.0, x), code.do("add", 1.0, x))))
+
+
+def _signed(code: Numbering, x: int, size: int) -> int:
+    return code.do("select", code.do("lt", x, 0.0), code.do("neg", size), size)
+
+
+def _quotient(code: Numbering, x: int, y: int) -> int:
+    """Return x − y trunc(x/y)."""
+    ratio = code.do("div", x, y)
+    whole = _signed(code, ratio, code.do("floor", code.do("fabs", ratio)))
+    return code.do("sub", x, code.do("mul", y, whole))
+
+
+def _nearest(code: Numbering, x: int, y: int) -> int:
+    """Return x − y round(x/y)."""
+    return code.do("sub", x, code.do("mul", y, code.do("floor", code.do("add", code.do("div", x, y), 0.5))))
+
+
+def _sign(code: Numbering, x: int) -> int:
+    # a zero and a NaN remain
+    above = code.do("select", code.do("lt", 0.0, x), 1.0, x)
+    return code.do("select", code.do("lt", x, 0.0), -1.0, above)
+
+
+def _hyperbolic(code: Numbering, x: int, op: str) -> int:
+    e = code.do("exp", x)
+    return code.do("mul", code.do(op, e, code.do("inv", e)), 0.5)
+
+
+def _area(code: Numbering, x: int, op: str) -> int:
+    """Return log(x + √(x² ± 1)), for x ≥ 0."""
+    return code.do("log", code.do("add", x, code.do("sqrt", code.do(op, code.do("sq", x), 1.0))))
+
+
+def _power(code: Numbering, x: int, y: int) -> int:
+    """Return x^y: by products for a whole number y, otherwise exp(y log x), which is NaN for a negative x."""
+    exponent = code.instructions[y].value
+    if exponent is None or exponent != round(exponent) or abs(exponent) > _MOST_PRODUCTS:
+        return code.do("exp", code.do("mul", y, code.do("log", x)))
+    bits, value = f"{abs(round(exponent)):b}", x
+    for bit in bits[1:]:
+        value = code.do("sq", value)
+        value = code.do("mul", value, x) if bit == "1" else value
+    return code.do("inv", value) if exponent < 0 else value if exponent else code.constant(1.0)
+
+
+COMPOSED: Mapping[str, Callable[..., int]] = MappingProxyType(
+    {
+        "acosh": partial(_area, op="sub"),
+        "asin": _arcsine,
+        "asinh": lambda code, x: _signed(code, x, _area(code, code.do("fabs", x), "add")),
+        "atan": lambda code, x: code.do("atan2", x, 1.0),
+        "atanh": lambda code, x: code.do(
+            "mul", code.do("log", code.do("div", code.do("add", 1.0, x), code.do("sub", 1.0, x))), 0.5
+        ),
+        "ceil": lambda code, x: code.do("neg", code.do("floor", code.do("neg", x))),
+        "constpow": _power,
+        "copysign": lambda code, x, y: _signed(code, y, code.do("fabs", x)),
+        "cosh": partial(_hyperbolic, op="add"),
+        "expm1": lambda code, x: code.do("sub", code.do("exp", x), 1.0),
+        "fmod": _quotient,
+        "hypot": lambda code, x, y: code.do("sqrt", code.do("add", code.do("sq", x), code.do("sq", y))),
+        "log1p": lambda code, x: code.do("log", code.do("add", 1.0, x)),
+        "pow": _power,
+        "remainder": _nearest,
+        "sign": _sign,
+        "sinh": partial(_hyperbolic, op="sub"),
+    }
 )
+"""Functions of CasADi that `lower` writes by operations of the instruction list."""

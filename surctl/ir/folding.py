@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from surctl.errors import InputError
-from surctl.ir.program import LEAVES, OPERATIONS, Instruction, Program, drop_dead
+from surctl.ir.program import LEAVES, OPERATIONS, TRUTHS, Instruction, Program, drop_dead
 from surctl.ir.routine import Block, Call, Routine, changed_programs
 
 
@@ -35,6 +35,10 @@ class Numbering:
         key = (op, args)
         at = self._known.get(key)
         return self._append(key, Instruction(op, args)) if at is None else at
+
+    def do(self, op: str, *args: int | float) -> int:
+        """Return the list position of an operation; an operand of type float is a constant, an int a position."""
+        return self.add(op, tuple([self.constant(a) if isinstance(a, float) else a for a in args]))
 
     def copy(self, instruction: Instruction, moved: list[int]) -> int:
         """Return the position of a copy of an instruction from another list; `moved` maps old to new positions."""
@@ -241,7 +245,7 @@ class _Folding(Numbering):
         return self.add(op, args) if simplified is None else simplified
 
     def is_truth(self, at: int) -> bool:
-        return self.instructions[at].op in _TRUTHS
+        return self.instructions[at].op in TRUTHS
 
     def op(self, at: int) -> str:
         return self.instructions[at].op
@@ -254,8 +258,7 @@ class _Folding(Numbering):
         return at if self.is_truth(at) else self.folded("ne", (at, self.constant(0.0)))
 
 
-_TRUTHS = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
-_POSITIVE = frozenset({"fabs", "sq", "sqrt"}) | _TRUTHS
+_POSITIVE = frozenset({"fabs", "sq", "sqrt"}) | TRUTHS
 
 
 def _sum(text: _Folding, args: tuple[int, ...]) -> int | None:

@@ -19,7 +19,7 @@ from surctl.ir.c99 import C_TYPE, Real
 from surctl.ir.c99_routine import emit_block
 from surctl.ir.cache import quick_flags, shared_library, source_digest
 from surctl.ir.folding import shortened
-from surctl.ir.replay import replay
+from surctl.ir.replay import checked, replay
 from surctl.ir.routine import Block
 
 Array: TypeAlias = NDArray[Any]  # of the block's dtype
@@ -91,13 +91,7 @@ class Native:
 
     def __call__(self, *inputs: ArrayLike) -> list[Array]:
         """Evaluate the compiled function; inputs (n,) or (batch, n) give outputs of shape (m,) or (batch, m)."""
-        expected = self._inputs
-        if len(inputs) != len(expected):
-            raise InputError(f"takes {len(expected)} inputs, got {len(inputs)}", key=self.block.name)
-        arrays = [np.asarray(x, dtype=self.dtype) for x in inputs]
-        for array, (name, size) in zip(arrays, expected, strict=True):
-            if array.ndim == 0 or array.shape[-1] != size:
-                raise InputError(f"has shape {array.shape}, expected (…, {size})", key=f"{self.block.name}.{name}")
+        arrays = checked(self.block.name, self._inputs, inputs, self.dtype)
         batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
         full = [np.ascontiguousarray(np.broadcast_to(a, (*batch, a.shape[-1]))) for a in arrays]
         out = [np.empty((*batch, size), dtype=self.dtype) for _, size in self._outputs]

@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.ir.bound import bound, called
+from surctl.ir.bound import VALUES, bound, called
 
 # Numbers with derivatives, with which a procedure is executed to differentiate it (forward mode)
 
@@ -150,8 +150,11 @@ def fabs(x: float) -> float:
 
 _FUNCTIONS: Mapping[str, Callable[[float], float]] = {"sqrt": sqrt, "fabs": fabs}
 _RANGES = {"range": 1, "within": 3, "back": 3}
-_BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
-_COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
+BINARY: Mapping[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+COMPARED: Mapping[type[ast.AST], str] = {
+    **{ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="},
+}
+"""Signs of the operations and of the comparisons of the language, which are those of C."""
 
 
 @dataclass(frozen=True)
@@ -390,14 +393,7 @@ def _constant(node: ast.expr, sizes: Mapping[str, int]) -> int:
     if isinstance(node, ast.Attribute) and node.attr in sizes:
         return sizes[node.attr]
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub | ast.Mult):
-        left, right = _constant(node.left, sizes), _constant(node.right, sizes)
-        return (
-            left + right
-            if isinstance(node.op, ast.Add)
-            else left - right
-            if isinstance(node.op, ast.Sub)
-            else left * right
-        )
+        return VALUES[type(node.op)](_constant(node.left, sizes), _constant(node.right, sizes))
     raise InputError("is not a constant", value=ast.unparse(node))
 
 
@@ -467,7 +463,7 @@ class _Check:
             case ast.Assign(targets=[target], value=value):
                 self._store(target, self._type(value))
             case ast.AugAssign(target=target, op=ast.Add() | ast.Sub() | ast.Mult(), value=value):
-                self._type(_loaded(target))
+                self._type(target)
                 self._store(target, self._type(value))
             case ast.If(test=test, body=body, orelse=other):
                 self._type(test)
@@ -507,7 +503,7 @@ class _Check:
                 if whole:
                     self.wrong(target)
             case ast.Subscript(value=ast.Attribute(attr=name)) if name not in self.constant:
-                own = self._type(_loaded(target))
+                own = self._type(target)
             case _:
                 self.wrong(target, "cannot be assigned")
         if own == "whole" and kind == "real":
@@ -532,7 +528,7 @@ class _Check:
                 name in self.fields and self.fields[name][1] and self._type(at) == "whole"
             ):
                 return self.fields[name][0]
-            case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in BINARY:
                 kinds = {self._type(left), self._type(right)}
                 if "real" not in kinds and isinstance(op, ast.Div):
                     self.wrong(node)
@@ -546,7 +542,7 @@ class _Check:
                 for part in values:
                     self._type(part)
                 return "whole"
-            case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _COMPARED:
+            case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in COMPARED:
                 self._type(left)
                 self._type(right)
                 return "whole"
@@ -569,8 +565,3 @@ class _Check:
 
 def _is_none(node: ast.expr | None) -> bool:
     return node is None or (isinstance(node, ast.Constant) and node.value is None)
-
-
-def _loaded(target: ast.expr) -> ast.expr:
-    # `_type` looks at no context (load or store)
-    return target

@@ -33,37 +33,36 @@ class Operation:
 
     Attributes:
         name: name in the instruction list: CasADi's name in lower case, or `select`.
-        arity: number of operands.
-        numpy: NumPy function that performs the operation on arrays of one dtype; a bool result represents 0 and 1.
+        kinds: kind of each operand, then of the result: v for a number, m for a truth value.
+        python: Python text of the result for NumPy arrays of one dtype, where truth values are arrays of bool; zero and
+            one are numbers of this dtype, other names are in `IN_PYTHON`.
         commutative: whether the operands can be swapped without a change of any bit of a finite result.
     """
 
     name: str
-    arity: int
-    numpy: Callable[..., Any]
+    kinds: str
+    python: str
     commutative: bool = False
 
+    @property
+    def arity(self) -> int:
+        """Return the number of operands."""
+        return len(self.kinds) - 1
 
-def _select(condition: _Value, then: _Value, otherwise: _Value) -> Any:
-    return np.where(condition != 0, then, otherwise)
-
-
-def _if_else_zero(condition: _Value, then: _Value) -> Any:
-    return np.where(condition != 0, then, np.zeros_like(then))
-
-
-def _fmin(a: _Value, b: _Value) -> Any:
-    # not np.fmin: for signed zeros and NaN the result must be that of the C text
-    return np.where(b < a, b, a)
-
-
-def _fmax(a: _Value, b: _Value) -> Any:
-    return np.where(a < b, b, a)
+    @cached_property
+    def numpy(self) -> Callable[..., Any]:
+        """Return the operation as a function of doubles, of which any but 0 is true."""
+        names = "abc"[: self.arity]
+        operands = [f"({name} != 0)" if kind == "m" else name for name, kind in zip(names, self.kinds, strict=False)]
+        scope = {**IN_PYTHON, "zero": np.float64(0.0), "one": np.float64(1.0)}
+        function: Callable[..., Any] = eval(f"lambda {', '.join(names)}: {self.python.format(*operands)}", scope)
+        return function
 
 
 def _fma(a: _Value, b: _Value, c: _Value) -> Any:
     single = np.result_type(a, b, c) == np.float32
-    return np.frompyfunc(_fma_single if single else _fma_double, 3, 1)(a, b, c)
+    exact = np.frompyfunc(_fma_single if single else _fma_double, 3, 1)(a, b, c)
+    return np.asarray(exact, dtype=np.float32 if single else np.float64)
 
 
 def _fma_double(*operands: Any) -> float:
@@ -89,63 +88,62 @@ def _fma_single(a: Any, b: Any, c: Any) -> float:
     return once
 
 
+_OF_NUMPY = (np.sqrt, np.abs, np.floor, np.sin, np.cos, np.tan, np.exp, np.log, np.tanh)
+
+IN_PYTHON: Mapping[str, Callable[..., Any]] = MappingProxyType(
+    {"where": np.where, "fma": _fma, "atan2": np.arctan2, "acos": np.arccos, **{f.__name__: f for f in _OF_NUMPY}}
+)
+"""Functions in the Python text of operations, by name."""
+
 _TABLE = (
-    Operation("add", 2, lambda a, b: a + b, commutative=True),
-    Operation("sub", 2, lambda a, b: a - b),
-    Operation("mul", 2, lambda a, b: a * b, commutative=True),
-    Operation("div", 2, lambda a, b: a / b),
-    Operation("fma", 3, _fma),
-    Operation("neg", 1, lambda a: -a),
-    Operation("inv", 1, lambda a: 1.0 / a),
-    Operation("sq", 1, lambda a: a * a),
-    Operation("twice", 1, lambda a: a + a),
-    Operation("sqrt", 1, np.sqrt),
-    Operation("fabs", 1, np.abs),
-    Operation("floor", 1, np.floor),
-    Operation("fmin", 2, _fmin),
-    Operation("fmax", 2, _fmax),
-    Operation("lt", 2, lambda a, b: a < b),
-    Operation("le", 2, lambda a, b: a <= b),
-    Operation("eq", 2, lambda a, b: a == b, commutative=True),
-    Operation("ne", 2, lambda a, b: a != b, commutative=True),
-    Operation("and", 2, lambda a, b: (a != 0) & (b != 0), commutative=True),
-    Operation("or", 2, lambda a, b: (a != 0) | (b != 0), commutative=True),
-    Operation("not", 1, lambda a: a == 0),
-    Operation("if_else_zero", 2, _if_else_zero),
-    Operation("select", 3, _select),
-    Operation("sin", 1, np.sin),
-    Operation("cos", 1, np.cos),
-    Operation("atan2", 2, np.arctan2),
-    Operation("acos", 1, np.arccos),
+    Operation("add", "vvv", "{0} + {1}", commutative=True),
+    Operation("sub", "vvv", "{0} - {1}"),
+    Operation("mul", "vvv", "{0} * {1}", commutative=True),
+    Operation("div", "vvv", "{0} / {1}"),
+    Operation("fma", "vvvv", "fma({0}, {1}, {2})"),
+    Operation("neg", "vv", "-{0}"),
+    Operation("inv", "vv", "one / {0}"),
+    Operation("sq", "vv", "{0} * {0}"),
+    Operation("twice", "vv", "{0} + {0}"),
+    Operation("sqrt", "vv", "sqrt({0})"),
+    Operation("fabs", "vv", "absolute({0})"),
+    Operation("floor", "vv", "floor({0})"),
+    # not np.fmin: for signed zeros and NaN the result must be that of the C text
+    Operation("fmin", "vvv", "where({1} < {0}, {1}, {0})"),
+    Operation("fmax", "vvv", "where({0} < {1}, {1}, {0})"),
+    Operation("lt", "vvm", "{0} < {1}"),
+    Operation("le", "vvm", "{0} <= {1}"),
+    Operation("eq", "vvm", "{0} == {1}", commutative=True),
+    Operation("ne", "vvm", "{0} != {1}", commutative=True),
+    Operation("and", "mmm", "{0} & {1}", commutative=True),
+    Operation("or", "mmm", "{0} | {1}", commutative=True),
+    Operation("not", "mm", "~{0}"),
+    Operation("if_else_zero", "mvv", "where({0}, {1}, zero)"),
+    Operation("select", "mvvv", "where({0}, {1}, {2})"),
+    Operation("sin", "vv", "sin({0})"),
+    Operation("cos", "vv", "cos({0})"),
+    Operation("atan2", "vvv", "atan2({0}, {1})"),
+    Operation("acos", "vv", "acos({0})"),
+    *(Operation(name, "vv", f"{name}({{0}})") for name in ("tan", "exp", "log", "tanh")),
 )
 
 OPERATIONS: Mapping[str, Operation] = MappingProxyType({op.name: op for op in _TABLE})
 """The operations by name."""
 
-LIBM = frozenset({"sin", "cos", "atan2", "acos"})
+TRUTHS = frozenset(op.name for op in _TABLE if op.kinds[-1] == "m")
+"""Names of the operations that return a truth value."""
+
+LIBM = frozenset({"sin", "cos", "atan2", "acos", "tan", "exp", "log", "tanh"})
 """Operations whose last bits depend on the platform's mathematical library."""
 
 SUBSTITUTES: Mapping[str, str] = MappingProxyType(
     {
-        "asin": "write atan2(x, sqrt(1 - x*x))",
         "assertion": "check outside the law",
-        "atan": "write atan2(x, 1)",
         "call": "build the inner function without never_inline",
-        "ceil": "write -floor(-x)",
-        "constpow": "multiply it out, or use sqrt",
-        "copysign": "write if_else(y < 0, -fabs(x), fabs(x))",
-        "exp": "approximate it by a polynomial or a rational function",
-        "fmod": "write x - y*floor(x/y) (result has the sign of y)",
-        "hypot": "write sqrt(x*x + y*y)",
-        "log": "approximate it by a polynomial or a rational function",
+        "erf": "approximate it by a polynomial or a rational function",
         "monitor": "remove it",
         "parameter": "make it an input of the function",
-        "pow": "multiply it out, or use sqrt",
         "printme": "remove it",
-        "remainder": "write x - y*floor(x/y + 0.5)",
-        "sign": "write if_else(x < 0, -1, if_else(x > 0, 1, 0))",
-        "tan": "write sin(x)/cos(x)",
-        "tanh": "write x/sqrt(1 + x*x) or a clamp",
     }
 )
 """For operations that the instruction list does not support, the replacement that an error message suggests."""

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.ir.procedure import Procedure
-from surctl.ir.program import OPERATIONS, Program
+from surctl.ir.program import IN_PYTHON, OPERATIONS, TRUTHS, Program
 from surctl.ir.routine import Block, Feed, Gather, Loop, Routine
 
 Real = type[np.float64] | type[np.float32]
@@ -43,7 +43,7 @@ def replay(program: Block, *inputs: ArrayLike, real: Real = np.float64) -> list[
         >>> [replay(program, [0.1, 0.2], real=real)[0].tolist() for real in (np.float64, np.float32)]
         [[0.30000000000000004], [0.30000001192092896]]
     """
-    arrays = _checked(program, inputs, real)
+    arrays = checked(program.name, program.inputs, inputs, real)
     batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
     with np.errstate(all="ignore"):  # C also reports no error for 1/0
         outputs = _run(program, arrays, real)
@@ -218,30 +218,17 @@ class _Numbers(Arrays[Value]):
         return piece
 
 
-def _checked(program: Block, inputs: tuple[ArrayLike, ...], real: Real) -> list[Value]:
-    if len(inputs) != len(program.inputs):
-        raise InputError(f"takes {len(program.inputs)} inputs, got {len(inputs)}", key=program.name)
-    arrays: list[Value] = [np.asarray(x, dtype=real) for x in inputs]
-    for array, (name, size) in zip(arrays, program.inputs, strict=True):
+def checked(
+    name: str, ports: tuple[tuple[str, int], ...], inputs: tuple[ArrayLike, ...], dtype: Real | np.dtype[Any]
+) -> list[Value]:
+    """Return the inputs of a block as arrays (…, n); InputError for another number of inputs, or another size."""
+    if len(inputs) != len(ports):
+        raise InputError(f"takes {len(ports)} inputs, got {len(inputs)}", key=name)
+    arrays: list[Value] = [np.asarray(x, dtype=dtype) for x in inputs]
+    for array, (port, size) in zip(arrays, ports, strict=True):
         if array.ndim == 0 or array.shape[-1] != size:
-            raise InputError(f"has shape {array.shape}, expected (…, {size})", key=f"{program.name}.{name}")
+            raise InputError(f"has shape {array.shape}, expected (…, {size})", key=f"{name}.{port}")
     return arrays
-
-
-_TEXTS = {
-    **{op: f"{{0}} {sign} {{1}}" for op, sign in (("add", "+"), ("sub", "-"), ("mul", "*"), ("div", "/"))},
-    **{op: f"{{0}} {sign} {{1}}" for op, sign in (("lt", "<"), ("le", "<="), ("eq", "=="), ("ne", "!="))},
-    **{"neg": "-{0}", "sq": "{0} * {0}", "twice": "{0} + {0}", "inv": "one / {0}"},
-    **{"fmin": "where({1} < {0}, {1}, {0})", "fmax": "where({0} < {1}, {1}, {0})"},  # ties as in C
-    **{"and": "{0} & {1}", "or": "{0} | {1}", "not": "~{0}", "select": "where({0}, {1}, {2})"},
-    "if_else_zero": "where({0}, {1}, zero)",
-}
-"""Python text of an operation, by its name; operations without such a text are called as functions."""
-
-_TRUE = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
-"""Names of the operations that return a truth value."""
-
-_TAKE_TRUTHS = {"and": (0, 1), "or": (0, 1), "not": (0,), "select": (0,), "if_else_zero": (0,)}
 
 
 def _python(program: Program) -> Callable[[list[Value], list[Any], Real], list[Any]]:
@@ -256,13 +243,12 @@ def _python(program: Program) -> Callable[[list[Value], list[Any], Real], list[A
             elif op == "input":
                 text = f"inputs[{args[0]}][..., {args[1]}]"
             else:
-                truths = _TAKE_TRUTHS.get(op, ())
-                operands = [_operand(program, a, truth=k in truths) for k, a in enumerate(args)]
-                text = _TEXTS[op].format(*operands) if op in _TEXTS else f"{op}({', '.join(operands)}, dtype=real)"
+                kinds = zip(args, OPERATIONS[op].kinds, strict=False)
+                text = OPERATIONS[op].python.format(*(_operand(program, a, truth=kind == "m") for a, kind in kinds))
             lines.append(f"    v{at} = {text}")
         names = ", ".join(_operand(program, at, truth=False) for at in range(len(program.instructions)))
         lines.append(f"    return [{names}]")
-        scope: dict[str, Any] = {"where": np.where, **_CALLED}
+        scope = dict(IN_PYTHON)
         exec("\n".join(lines), scope)  # the text has only the names above and numbers of instructions
         cached = program.__dict__["_python"] = scope["run"]
     run: Callable[[list[Value], list[Any], Real], list[Any]] = cached
@@ -270,17 +256,10 @@ def _python(program: Program) -> Callable[[list[Value], list[Any], Real], list[A
 
 
 def _operand(program: Program, at: int, *, truth: bool) -> str:
-    is_truth = program.instructions[at].op in _TRUE
+    is_truth = program.instructions[at].op in TRUTHS
     if truth == is_truth:
         return f"v{at}"
     return f"(v{at} != 0)" if truth else f"where(v{at}, one, zero)"
-
-
-def _called(operation: Callable[..., Any]) -> Callable[..., Any]:
-    return lambda *args, dtype: np.asarray(operation(*args), dtype=dtype)
-
-
-_CALLED = {name: _called(operation.numpy) for name, operation in OPERATIONS.items() if name not in _TEXTS}
 
 
 def _stack(entries: list[Value], batch: tuple[int, ...], real: Real) -> Value:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.ir.procedure import Dual, Procedure
-from surctl.ir.program import Program
+from surctl.ir.program import LIBM, Program
 from surctl.ir.replay import Arrays, run_routine
 from surctl.ir.routine import Block, Feed, Routine, nested
 
@@ -46,10 +46,7 @@ _SYMBOLIC: Mapping[str, Callable[..., Any]] = MappingProxyType(
         "not": ca.logic_not,
         "if_else_zero": lambda c, a: ca.if_else(c, a, 0),
         "select": ca.if_else,
-        "sin": ca.sin,
-        "cos": ca.cos,
-        "atan2": ca.atan2,
-        "acos": ca.acos,
+        **{name: getattr(ca, name) for name in LIBM},
     }
 )
 

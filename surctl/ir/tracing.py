@@ -23,6 +23,7 @@ from typing import Any, TypeAlias, overload
 import casadi as ca
 
 from surctl.errors import InputError, UnsupportedOperation
+from surctl.ir.elementary import COMPOSED
 from surctl.ir.folding import Numbering, shared_divisors
 from surctl.ir.nesting import Key, Traced, routine
 from surctl.ir.program import OPERATIONS, SUBSTITUTES, Instruction, Program, drop_dead
@@ -46,7 +47,8 @@ def lower(function: ca.Function, *, reciprocals: bool = False) -> Program:
             rounds once more. (CasADi itself converts such products to divisions.)
 
     Raises:
-        UnsupportedOperation: an operation is not in `surctl.ir.program.OPERATIONS`; the message names a substitute.
+        UnsupportedOperation: an operation is neither in `surctl.ir.program.OPERATIONS` nor in
+            `surctl.ir.elementary.COMPOSED`.
         InputError: an input that is not a dense column vector.
 
     Example:
@@ -140,6 +142,8 @@ def _walk(function: ca.Function, builder: _Builder) -> dict[tuple[int, int], int
             slot[result[0]] = builder.constant(float(function.instruction_constant(k)))
         elif op in OPERATIONS:
             slot[result[0]] = builder.add(op, tuple([slot[a] for a in args]))
+        elif op in COMPOSED:
+            slot[result[0]] = COMPOSED[op](builder, *[slot[a] for a in args])
         else:
             raise UnsupportedOperation(
                 f"operation {op!r} is not supported by the instruction list",

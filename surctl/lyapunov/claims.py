@@ -82,6 +82,8 @@ class Stability:
         """To what solutions converge, in words."""
         if not self.radii:
             return "the equilibrium"
+        if self.dynamics.shifts:
+            return "the equilibrium of its parameters, which are constant, within the stated radii"
         if any(w.lower < w.upper for w in self.dynamics.parameters):
             return "the box of the radii and, with constant parameters, to the equilibrium in this box"
         return "the equilibrium within the stated radii"
@@ -95,6 +97,7 @@ class Stability:
             "level": float(self.level),
             "rate": None if self.rate is None else float(self.rate),
             **({"radius": dict(self.radii)} if self.radii else {}),
+            **({"constant": True} if self.dynamics.shifts else {}),
         }
 
     def inequalities(self, scales: Sequence[float], positive: Power, decrease: Power | None) -> list[Inequality]:
@@ -109,7 +112,7 @@ class Stability:
         inside = [self.function - exact(self.level)]
         at = {s.name: s.rest for s in d.states}
         name, least = f"{d.name}: V is positive", self._power(scales, positive)
-        claims = [_inequality(name, d.states, least, self.function, inside, at)]
+        claims = [inequality(name, d.states, least, self.function, inside, at)]
         claims += _stays(d, inside) if d.discrete else _faces(d, self.level, self.function)
         loss = exact(self.rate) * self.function if self.rate is not None else None
         if loss is None:
@@ -245,15 +248,15 @@ class Safety:
         d, zero = self.dynamics, number(0)
         change = d.change(self.function)
         claims = [
-            _inequality(f"{d.name}: B in the initial set", d.states, self.function, zero, self.initial),
-            _inequality(f"{d.name}: B in the unsafe set", d.states, exact(margin), self.function, self.unsafe),
+            inequality(f"{d.name}: B in the initial set", d.states, self.function, zero, self.initial),
+            inequality(f"{d.name}: B in the unsafe set", d.states, exact(margin), self.function, self.unsafe),
         ]
         if d.discrete:
-            last = _inequality(f"{d.name}: B at the successor", d.variables, change, zero, [self.function])
+            last = inequality(f"{d.name}: B at the successor", d.variables, change, zero, [self.function])
         else:
             if self.multiplier is None:
                 raise InputError("is missing", key=f"{d.name}.multiplier", remedy='give e.g. "0" or "-1"')
-            last = _inequality(f"{d.name}: change of B", d.variables, change, self.multiplier * self.function, [])
+            last = inequality(f"{d.name}: change of B", d.variables, change, self.multiplier * self.function, [])
         claims.append(last)
         if self.stays and d.discrete:
             claims += _stays(d, [self.function])
@@ -323,7 +326,7 @@ class Inequality:
         return replace(self, variables=variables, exact=replace(self.exact, lower=lower, upper=upper))
 
 
-def _inequality(
+def inequality(
     name: str,
     variables: Sequence[Range],
     left: Node,
@@ -331,6 +334,7 @@ def _inequality(
     constraints: Sequence[Node],
     touching: Mapping[str, Fraction] | None = None,
 ) -> Inequality:
+    """Return left ≤ right where all constraints are ≤ 0, in a box; `touching` is a point at which both are equal."""
     names = tuple(v.name for v in variables)
     left, right, *rows = (reread(node, names) for node in (left, right, *constraints))
     lower, upper = _ends(variables)
@@ -345,7 +349,7 @@ def _ends(variables: Sequence[Range]) -> NDArray[np.float64]:
 def _faces(dynamics: Dynamics, level: float, function: Node) -> list[Inequality]:
     claims = []
     for s in dynamics.states:
-        claim = _inequality(f"{dynamics.name}: V on a face in {s.name}", dynamics.states, exact(level), function, [])
+        claim = inequality(f"{dynamics.name}: V on a face in {s.name}", dynamics.states, exact(level), function, [])
         claims += [claim.on(s.name, end) for end in (s.lower, s.upper)]
     return claims
 
@@ -357,7 +361,7 @@ def _inward(dynamics: Dynamics, function: Node, speeds: Sequence[float]) -> list
             speed = exact(speeds[2 * k + side])
             left, right = (rate, -speed) if side else (speed, rate)
             name = f"{dynamics.name}: the rate of {s.name} at its bound {end:g}"
-            claims.append(_inequality(name, dynamics.variables, left, right, [function]).on(s.name, end))
+            claims.append(inequality(name, dynamics.variables, left, right, [function]).on(s.name, end))
     return claims
 
 
@@ -365,8 +369,8 @@ def _stays(dynamics: Dynamics, inside: Sequence[Node]) -> list[Inequality]:
     claims = []
     for s, rate in zip(dynamics.states, dynamics.rates, strict=True):
         name = f"{dynamics.name}: the successor of {s.name}"
-        claims.append(_inequality(name, dynamics.variables, exact(s.lower), rate, inside))
-        claims.append(_inequality(name, dynamics.variables, rate, exact(s.upper), inside))
+        claims.append(inequality(name, dynamics.variables, exact(s.lower), rate, inside))
+        claims.append(inequality(name, dynamics.variables, rate, exact(s.upper), inside))
     return claims
 
 
@@ -379,4 +383,4 @@ def _decrease(
 ) -> Inequality:
     change = dynamics.change(function)
     left = change - function if dynamics.discrete else change
-    return _inequality(f"{dynamics.name}: V decreases", dynamics.variables, left, right, inside, touching)
+    return inequality(f"{dynamics.name}: V decreases", dynamics.variables, left, right, inside, touching)

@@ -114,6 +114,8 @@ class Dynamics:
         about: digests of `plant` and `controller`, `period_s`, and the entries of every vector of the loop, if the
             dynamics are those of a closed loop (`surctl.system.System`); otherwise empty.
         sampling: the sampled form of the loop, if `rates` are its law in continuous time.
+        shifts: largest distance of each state and command of the equilibrium from the stated one, which is moved by
+            constant parameters, see `surctl.lyapunov.shifts`; empty if the equilibrium does not move.
 
     Raises:
         InputError: a name is not valid or is used twice, a range is not finite, or a rate uses an unknown name.
@@ -135,6 +137,7 @@ class Dynamics:
     source: str = ""
     about: Mapping[str, Any] = field(default_factory=dict)
     sampling: Sampling | None = None
+    shifts: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         names = [v.name for v in self.variables]
@@ -194,9 +197,9 @@ class Dynamics:
                 )  # fmt: skip
 
     def require_rest(self) -> None:
-        """Raise InputError unless the equilibrium is one for all parameters, up to rounding, inside the box."""
+        """Raise InputError unless the equilibrium is one for all parameters, up to rounding, or moves, in the box."""
         self.require_equilibrium()
-        if not self.rests():
+        if not self.shifts and not self.rests():
             raise InputError(
                 "is not an equilibrium: the largest rate there is", key=f"{self.name}.equilibrium",
                 value=float(self.residual().max()), remedy="give the equilibrium of the states",
@@ -206,6 +209,26 @@ class Dynamics:
     def box(self) -> Array:
         """The lower and upper bounds (2, n) of the states."""
         return np.array([[s.lower for s in self.states], [s.upper for s in self.states]])
+
+    @property
+    def radii(self) -> Array:
+        """The largest distances (n,) of the equilibrium of constant parameters from the stated one."""
+        return np.array([self.shifts.get(s.name, 0.0) for s in self.states])
+
+    @property
+    def freedom(self) -> Array:
+        """The least distance (n,) of an equilibrium from the bounds of each state."""
+        least: Array = np.minimum(self.box[1] - self.equilibrium, self.equilibrium - self.box[0])
+        return least - self.radii
+
+    def inner_level(self, p: Array, level: float) -> float:
+        """Return the level of ξ' P ξ about the stated equilibrium in {ξ' P ξ ≤ level} about any other; 0 if none is.
+
+        The result is `level` if the equilibrium does not move.
+        """
+        extent = float(self.radii @ np.sqrt(np.diag(p))) * (1 + 1e-9)
+        apart = np.sqrt(level) - extent
+        return level if not self.shifts else float(f"{apart**2:.6g}") * (1 - 1e-6) if apart > extent else 0.0
 
     @property
     def ranges(self) -> Array:

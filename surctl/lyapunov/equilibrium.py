@@ -17,6 +17,7 @@ from surctl.certcheck.enclosure import Undefined, enclose, rational
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.errors import InputError, NotApplicable
 from surctl.lyapunov.dynamics import Dynamics
+from surctl.lyapunov.shifts import shifted
 from surctl.verification.formula import Node, exact_values, text_of, variable
 
 Array = NDArray[np.float64]
@@ -103,6 +104,8 @@ def at_equilibrium(dynamics: Dynamics, *, seed: int = 0) -> Dynamics:
             many, key=f"{d.name}.equilibrium", remedy="give the equilibrium, or other bounds of the states"
         )
     moved = refined(_about(d, outcome[0]))
+    if not moved.rests() and (about_all := shifted(moved)) is not None:
+        return about_all
     if not moved.rests():
         raise InputError(
             f"moves with the parameters (at their middle: {texts})", key=f"{d.name}.equilibrium",
@@ -203,14 +206,16 @@ def require_common(dynamics: Dynamics, values: Mapping[str, float] = MappingProx
         if not s.lower < s.equilibrium < s.upper:
             because = f"it rests at {s.name} = {s.equilibrium:.6g} {s.unit}, not in [{s.lower:g}, {s.upper:g}] {s.unit}"
             raise NotApplicable(because, to="the loop", key=f"within.{s.name}")
-    if not d.rests():
+    if not d.shifts and not d.rests():
         middle = [replace(p, lower=m, upper=m) for p, m in zip(d.parameters, d.ranges.mean(axis=0), strict=True)]
         alone = [(*middle[:k], p, *middle[k + 1 :]) for k, p in enumerate(d.parameters)]
         typed = {re.sub(r"\W+", "_", name): name for name in values}
         held = [m for m, one in zip(middle, alone, strict=True) if not replace(d, parameters=one).rests()] or middle
         moving = {(name := typed.get(p.name, p.name)): f"{values.get(name, p.lower):.6g}" for p in held}
         words = " ".join(f"{name}={value}..{value}" for name, value in moving.items())
-        because = f"its equilibrium moves with {', '.join(moving)}, and a region is about one point: give {words}"
+        because = (
+            f"its equilibrium moves with {', '.join(moving)}, too far for one region about all of them: give {words}"
+        )
         because += f" (the proof then holds for {'this value' if len(moving) == 1 else 'these values'} only)"
         raise NotApplicable(because, to="the loop", key=f"{d.name}.equilibrium")
 
@@ -224,8 +229,7 @@ def inexact(dynamics: Dynamics) -> bool:
     try:
         for corner in d.corners(most=4).T:
             point = [rational(x) for x in (*rests, *(Fraction(repr(float(w))) for w in corner))]
-            for s, jet in zip(d.states, enclose(table, roots, point), strict=True):
-                low, high = jet.value
+            for s, (low, high) in zip(d.states, enclose(table, roots, point), strict=True):
                 still = rational(s.rest if d.discrete else Fraction(0))
                 if libmp.mpf_gt(low, still[1]) or libmp.mpf_lt(high, still[0]):
                     return True

@@ -1,29 +1,38 @@
-"""The least level of a Lyapunov function at which a counterexample exists, found by rays and by local searches."""
+"""The least level of a Lyapunov function at which a counterexample exists, found by the falsifier in shrinking boxes.
+
+The falsifier searches the least V where a condition of the claim fails. It is then run again in the smallest box around
+the region below that level, in which its samples are denser.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.lyapunov.claims import Power, Stability
-from surctl.lyapunov.dynamics import Dynamics
-from surctl.lyapunov.rays import directions, extent
-from surctl.verification.formula import Node
+from surctl.errors import EmptyDomain
+from surctl.lyapunov.claims import Inequality, inequality
+from surctl.lyapunov.dynamics import Dynamics, Range, exact
+from surctl.lyapunov.near import bends
+from surctl.lyapunov.rays import directions, extent, hugged
+from surctl.verification.falsifier import search, sobol
+from surctl.verification.formula import Node, number, power, variable
 from surctl.verification.proving import certain_excess
 
 Array = NDArray[np.float64]
 
-_RAYS, _POINTS, _STARTS, _MOST_CORNERS = 1024, 48, 5, 16
+_SAMPLES = 2048
+_INSIDE, _ON_FACE = (_SAMPLES, 4), (64, 1)  # samples and starts of a search; on a face, V has no other condition
+_ROUNDS, _LOWER, _MARGIN = 5, 0.999, 1.05  # searches; a level that counts as lower; level of the next box
+_TRIED = 24  # points of a search that may be confirmed
+_RAYS, _MOST_CORNERS = 1024, 16
 _NEAREST = 0.004  # least relative distance from the equilibrium
 _FLAT = 1e-8  # eigenvalues below this share of the largest one count as 0
 _LITTLE = 1e-9  # share of V by which it may grow close to the equilibrium by rounding
 _SHORT = 0.05  # length of a step along directions without a decrease of second order
-_NEARLY = 0.1  # share of the median decrease below which a point is close to a counterexample
 _OUTWARDS = (0.0, 1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 3e-3)
 
 
@@ -45,62 +54,6 @@ class Falsified:
     confirmed: bool
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
-    dynamics: Dynamics
-    function: Node
-    rate: float
-    scales: Array
-
-    @cached_property
-    def symbolic(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
-        # scaled states z, scaled parameters p in [0, 1], V, V' + rate V, successors
-        d = self.dynamics
-        z, p = ca.SX.sym("z", len(d.states)), ca.SX.sym("p", len(d.parameters))
-        x = ca.DM(d.equilibrium) + ca.DM(self.scales) * z
-        low, high = d.ranges
-        w = ca.DM(low) + ca.DM(high - low) * p
-        value, change, *after = ca.vertsplit(d.compiled(self.function, d.change(self.function), *d.rates)(x, w))
-        loss = change - value if d.discrete else change
-        return z, p, value, loss + self.rate * value, ca.vertcat(*after)
-
-    @cached_property
-    def values(self) -> ca.Function:
-        z, p, value, rise, after = self.symbolic
-        rows = [value, rise / ca.sumsqr(z)]
-        if self.dynamics.discrete:
-            low, high = self.dynamics.box
-            out = (after - (low + high) / 2) / ((high - low) / 2)
-            rows.append(ca.mmax(ca.fabs(out)) - 1)
-        return ca.Function("values", [z, p], [ca.vertcat(*rows)])
-
-    @cached_property
-    def slopes(self) -> ca.Function:
-        z, p, value, rise, _ = self.symbolic
-        both, g = ca.vertcat(z, p), rise / ca.sumsqr(z)
-        return ca.Function("slopes", [both], [value, ca.gradient(value, both), g, ca.gradient(g, both)], {"cse": True})
-
-    def flat(self, corners: Array) -> bool:
-        """Return whether V is positive definite to second order at the equilibrium, but its decrease is not."""
-        z, p, value, rise, _ = self.symbolic
-        hessians = ca.Function("hessians", [z, p], [ca.hessian(value, z)[0], ca.hessian(-rise, z)[0]])
-        for corner in corners.T:
-            of_value, of_loss = (np.asarray(h) for h in hessians(np.zeros(z.numel()), corner))
-            positive = np.linalg.eigvalsh(of_value)
-            if not positive.min() > _FLAT * np.abs(positive).max():
-                continue
-            loss, vectors = np.linalg.eigh(of_loss)
-            if loss.min() < -_FLAT * np.abs(loss).max():
-                return True
-            # where the second order vanishes, a higher one may decide
-            along = vectors[:, loss <= _FLAT * np.abs(loss).max()] * _SHORT
-            for at in (*along.T, *-along.T):
-                v, g = np.asarray(self.values(at, corner)).reshape(-1)[:2]
-                if g * _SHORT**2 > -_FLAT * v:
-                    return True
-        return False
-
-
 def least_level(dynamics: Dynamics, function: Node, rate: float | None = None, *, seed: int = 0) -> Falsified:
     """Search for the least level at which the claim fails that V < level is a region in which V decreases.
 
@@ -108,7 +61,7 @@ def least_level(dynamics: Dynamics, function: Node, rate: float | None = None, *
         dynamics: the dynamics.
         function: V, an expression of the states.
         rate: with a number, V' ≤ −rate · V is demanded, otherwise V' < 0.
-        seed: seed of the directions of the rays.
+        seed: seed of the samples.
 
     Example:
         >>> from surctl.lyapunov import Dynamics, State
@@ -120,159 +73,151 @@ def least_level(dynamics: Dynamics, function: Node, rate: float | None = None, *
         >>> round(least.level, 3), least.cause, least.confirmed
         (1.0, 'decrease', True)
     """
-    d = dynamics
-    n = len(d.states)
-    scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
-    search = _Search(d, function, rate or 0.0, scales)
-    u = directions(n, _RAYS if n > 1 else 2, seed=seed)
-    edge = (d.box - d.equilibrium) / scales
-    far = extent(np.zeros(n), edge, u)
-    z = u[:, :, None] * (far[:, None] * np.linspace(_NEAREST, 1.0, _POINTS))[None]
-    flat = z.reshape(n, -1)
-    corners = _corners(d)
-    read = [np.asarray(search.values(flat, np.repeat(p[:, None], flat.shape[1], axis=1))) for p in corners.T]
-    v = read[0][0].reshape(-1, _POINTS)
-    g = np.array([r[1] for r in read]).reshape(len(read), -1, _POINTS)
-    if not np.all(np.isfinite(v)) or v.min() <= 0 or g[:, :, 0].max() >= 0 or search.flat(corners):
-        at = np.unravel_index(np.argmin(v) if v.min() <= 0 else np.argmax(g[:, :, 0].max(axis=0)) * _POINTS, v.shape)
-        least = min(float(v.min()), 0.0)
-        rise = float((g[:, :, 0] * (z[:, :, 0] ** 2).sum(axis=0) / v[:, 0]).max()) if least == 0 else np.inf
-        cause = "decrease" if rise > _LITTLE else "flat"
-        return _at(search, z[:, at[0], at[1]], corners[:, 0], least, cause, confirmed=False)
-    outcome: list[Falsified] = []
-    if d.discrete:
-        out = np.array([r[2] for r in read]).reshape(len(read), -1, _POINTS)
-        outcome += _first(search, out >= 0, v, z, corners, "successor")
-    else:
-        outcome.append(_on_faces(search, v[:, -1], z[:, :, -1], edge))
-    starts = _starts(g, v, z, corners)
-    outcome += _first(search, g >= 0, v, z, corners, "decrease")
-    outcome += [end for start in starts if (end := _descend(search, start, edge)) is not None]
-    outcome = [f for f in outcome if f.confirmed]
-    if not outcome:
-        return Falsified(float(v.max()), {}, "none", confirmed=False)
-    return min(outcome, key=lambda f: f.level)
-
-
-def _corners(d: Dynamics) -> Array:
-    # corners (m, C) of the parameters in [0, 1], and their middle
-    count = sum(low < high for low, high in d.ranges.T)
-    low, high = d.ranges
-    wide = high > low
-    values = (d.corners(most=4) - low[:, None]) / np.where(wide, high - low, 1.0)[:, None]
-    if count > 4:
-        values = np.hstack([values, np.random.default_rng(0).integers(0, 2, (len(low), _MOST_CORNERS)).astype(float)])
-    return np.asarray(values)
-
-
-def _starts(g: Array, v: Array, z: Array, corners: Array) -> list[Array]:
-    """Return starts of local searches: points of least V where V does not decrease, or nearly, that are apart."""
-    worst = g.max(axis=0)
-    which = g.argmax(axis=0)
-    size = np.median(np.abs(worst))
-    close = worst >= -_NEARLY * size
-    order = np.argsort(np.where(worst >= 0, v, np.where(close, 1.5 * v, np.inf)), axis=None)[: min(400, close.sum())]
-    chosen: list[Array] = []
-    for at in order:
-        i, j = np.unravel_index(at, v.shape)
-        start = np.concatenate([z[:, i, j], corners[:, which[i, j]]])
-        if all(np.linalg.norm(start - c) > 0.15 * np.linalg.norm(start[: len(z)]) for c in chosen):
-            chosen.append(start)
-        if len(chosen) == _STARTS:
+    falsifier = _Falsifier(dynamics, function, rate or 0.0, seed)
+    close = falsifier.close()
+    if close is not None:
+        return close
+    outcome = falsifier.successors() if dynamics.discrete else falsifier.faces()
+    least, around = min(outcome, key=lambda f: f.level, default=None), dynamics
+    for _ in range(_ROUNDS):
+        if least is not None:
+            around = hugged(dynamics, function, _MARGIN * least.level)
+        trial = falsifier.decrease(around)
+        if trial is None or (least is not None and trial.level >= _LOWER * least.level):
             break
-    return chosen
+        least = trial
+    return Falsified(float(falsifier.values.max()), {}, "none", confirmed=False) if least is None else least
 
 
-def _first(search: _Search, bad: NDArray[np.bool_], v: Array, z: Array, corners: Array, cause: str) -> list[Falsified]:
-    if not bad.any():
-        return []
-    which = bad.argmax(axis=0)
-    any_bad = bad.any(axis=0)
-    i, j = np.unravel_index(np.argmin(np.where(any_bad, v, np.inf)), v.shape)
-    p = corners[:, which[i, j]]
-    return [_outwards(search, np.asarray(z[:, i, j]), p, cause)]
+def least_where(dynamics: Dynamics, function: Node, reached: Node, *, floor: float = 0.0, seed: int = 0) -> float:
+    """Return the least V ≥ `floor` that is found in the box where an expression is ≥ 0; inf if there is none.
+
+    Args:
+        dynamics: the dynamics.
+        function: V, an expression of the states.
+        reached: the expression.
+        floor: lower bound of V.
+        seed: seed of the samples.
+    """
+    n, least, around, value = len(dynamics.states), np.inf, dynamics, dynamics.compiled(function)
+    for _ in range(_ROUNDS):
+        domain = [-reached, exact(floor) - function]
+        points = _points(inequality("V", around.variables, -function, number(0), domain), *_INSIDE, seed)
+        level = float(value(points[:n, 0], points[n:, 0])) if points.size else np.inf
+        if not level < _LOWER * least:
+            break
+        least, around = level, hugged(dynamics, function, _MARGIN * level)
+    return least
 
 
-def _on_faces(search: _Search, v: Array, z: Array, edge: Array) -> Falsified:
-    """Return the point of least V on the faces of the box, by projected gradients from the best ray of each face."""
-    from scipy.optimize import minimize
-
-    best = np.inf, z[:, 0]
-    p = np.full(len(search.dynamics.parameters), 0.5)
-    n = len(z)
-    size = float(v.min())  # the search's tolerances are absolute
-    for side in (0, 1):
-        for k in range(n):
-            on = np.flatnonzero(np.abs(z[k] - edge[side, k]) < 1e-9)
-            start = z[:, on[np.argmin(v[on])]] if on.size else np.where(np.arange(n) == k, edge[side, k], 0.0)
-            bounds = [(edge[0, i], edge[1, i]) if i != k else (edge[side, k],) * 2 for i in range(n)]
-
-            def value(at: Array) -> tuple[float, Array]:
-                read = search.slopes(np.concatenate([at, p]))
-                return float(read[0]) / size, np.asarray(read[1]).reshape(-1)[:n] / size
-
-            run = minimize(value, start, jac=True, bounds=bounds, method="L-BFGS-B", options={"maxiter": 60})
-            if float(run.fun) * size < best[0]:
-                best = float(run.fun) * size, np.asarray(run.x)
-    return _at(search, best[1], p, best[0], "face", confirmed=True)
+def _points(one: Inequality, samples: int, starts: int, seed: int) -> Array:
+    """Return points (n + m, N) of the domain of an inequality −V ≤ 0, that of the least V first; none if none."""
+    quick = replace(one.claim, exact=None)  # in doubles: interval arithmetic may confirm the points
+    try:
+        return search(quick, samples=samples, starts=starts, seed=seed).points
+    except EmptyDomain:
+        return np.zeros((len(one.variables), 0))
 
 
-def _descend(search: _Search, start: Array, edge: Array) -> Falsified | None:
-    """Minimise V where V does not decrease, from a start (n + m,), with SLSQP."""
-    from scipy.optimize import minimize
+class _Falsifier:
+    def __init__(self, dynamics: Dynamics, function: Node, rate: float, seed: int) -> None:
+        d = dynamics
+        self.dynamics, self.function, self.rate, self.seed = d, function, rate, seed
+        self.scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
+        change = d.change(function)
+        self.rise = (change - function if d.discrete else change) + exact(rate) * function
+        self.read = d.compiled(function, self.rise)
+        low, high = d.box[:, :, None]
+        self.values, self.paces = self._at(low + (high - low) * sobol(len(low), _SAMPLES, seed))
 
-    n = edge.shape[1]
-    m = len(start) - n
-    known: dict[bytes, tuple[float, Array, float, Array]] = {}
+    def _at(self, x: Array, w: Array | None = None) -> tuple[Array, Array]:
+        """Return V (N,) and (V' + rate V)/|z|² (N,) at states x (n, N), with z in relative distances from x*."""
+        d = self.dynamics
+        values, rises = np.asarray(self.read(x, d.ranges.mean(axis=0) if w is None else w))
+        return values, rises / (((x - d.equilibrium[:, None]) / self.scales[:, None]) ** 2).sum(axis=0)
 
-    def read(at: Array) -> tuple[float, Array, float, Array]:
-        key = at.tobytes()
-        if key not in known:
-            v, dv, g, dg = search.slopes(at)
-            known[key] = float(v), np.asarray(dv).reshape(-1), float(g), np.asarray(dg).reshape(-1)
-        return known[key]
+    def close(self) -> Falsified | None:
+        """Return the counterexample if V is not positive in the box, or does not decrease close to the equilibrium."""
+        d, n = self.dynamics, len(self.dynamics.states)
+        corners, (low, high) = d.corners(most=4), d.ranges
+        if (low < high).sum() > 4:
+            share = np.random.default_rng(0).integers(0, 2, (len(low), _MOST_CORNERS))
+            corners = np.hstack([corners, low[:, None] + (high - low)[:, None] * share])
+        step = self.scales[:, None] * directions(n, _RAYS if n > 1 else 2, seed=self.seed)
+        step *= _NEAREST * extent(d.equilibrium, d.box, step)
+        x = d.equilibrium[:, None] + step
+        read = [self._at(x, corner) for corner in corners.T]
+        v, pace = read[0][0], np.max([pace for _, pace in read], axis=0)
+        least = min(float(v.min()), float(self.values.min()), 0.0)
+        if np.isfinite(self.values).all() and v.min() > 0 and least == 0 and pace.max() < 0 and not self._flat(corners):
+            return None
+        at = int(np.argmin(v) if v.min() <= 0 else np.argmax(pace))
+        rise = float((pace * (step**2 / self.scales[:, None] ** 2).sum(axis=0) / v).max()) if least == 0 else np.inf
+        cause = "decrease" if rise > _LITTLE else "flat"
+        return self._counterexample(np.concatenate([x[:, at], corners[:, 0]]), cause, confirmed=False, level=least)
 
-    size = max(read(start)[0], 1e-300)
-    steep = max(float(np.abs(read(start)[3]).max()), 1e-12)
-    run = minimize(
-        lambda at: read(at)[0] / size,
-        start,
-        jac=lambda at: read(at)[1] / size,
-        bounds=[*zip(edge[0], edge[1], strict=True), *[(0.0, 1.0)] * m],
-        constraints={"type": "ineq", "fun": lambda at: read(at)[2] / steep, "jac": lambda at: read(at)[3] / steep},
-        method="SLSQP",
-        options={"maxiter": 80, "ftol": 1e-8},
-    )
-    z, p = np.asarray(run.x[:n], dtype=float), np.clip(run.x[n:], 0, 1)
-    if not np.all(np.isfinite(run.x)) or np.linalg.norm(z) < _NEAREST or read(np.asarray(run.x))[2] < -1e-4 * steep:
-        return None
-    return _outwards(search, np.clip(z, edge[0], edge[1]), p, "decrease")
+    def _flat(self, corners: Array) -> bool:
+        """Return whether V is positive definite to second order at the equilibrium, but its decrease is not."""
+        d, hessians = self.dynamics, bends(self.dynamics, self.function, self.rate, self.scales)
+        for corner in corners.T:
+            of_value, of_rise = (np.asarray(h) for h in hessians(np.zeros(len(d.states)), corner))
+            positive = np.linalg.eigvalsh(of_value)
+            if not positive.min() > _FLAT * np.abs(positive).max():
+                continue
+            loss, vectors = np.linalg.eigh(-of_rise)
+            if loss.min() < -_FLAT * np.abs(loss).max():
+                return True
+            # where the second order vanishes, a higher one may decide
+            along = vectors[:, loss <= _FLAT * np.abs(loss).max()] * _SHORT
+            x = d.equilibrium[:, None] + self.scales[:, None] * np.hstack([along, -along])
+            values, paces = self._at(x, corner)
+            if np.any(paces * _SHORT**2 > -_FLAT * values):
+                return True
+        return False
 
+    def faces(self) -> list[Falsified]:
+        """Return the point of least V on each face of the box."""
+        d = self.dynamics
+        whole = inequality("V on a face", d.states, -self.function, number(0), [])
+        faces = [whole.on(s.name, end) for s in d.states for end in (s.lower, s.upper)]
+        points = [np.append(_points(face, *_ON_FACE, self.seed)[:, 0], d.ranges.mean(axis=0)) for face in faces]
+        return [self._counterexample(x, "face", confirmed=True) for x in points]
 
-def _outwards(search: _Search, z: Array, p: Array, cause: str) -> Falsified:
-    """Return the nearest point further out on the ray at which interval arithmetic confirms the counterexample."""
-    d = search.dynamics
-    low, high = d.ranges
-    w = low + (high - low) * p
-    factors = 1 + np.array(_OUTWARDS)
-    x = d.equilibrium[:, None] + search.scales[:, None] * z[:, None] * factors
-    x = np.clip(x, d.box[0][:, None], d.box[1][:, None])
-    if cause == "decrease":
-        claim = Stability(d, search.function, 1e300, search.rate).inequalities(list(search.scales), Power(1.0, 1), None)
-        excess = certain_excess(claim[-1].claim, np.vstack([x, np.repeat(w[:, None], x.shape[1], axis=1)]))
-    else:
-        after = d.evaluate(x, np.repeat(w[:, None], x.shape[1], axis=1))
-        excess = np.max(np.maximum(after - d.box[1][:, None], d.box[0][:, None] - after), axis=0)
-    fails = excess > 0
-    k = int(np.argmax(fails)) if fails.any() else 0
-    scaled = (x[:, k] - d.equilibrium) / search.scales
-    value = float(np.asarray(search.values(scaled, p))[0, 0])
-    return _at(search, scaled, p, value, cause, confirmed=bool(fails.any()))
+    def successors(self) -> list[Falsified]:
+        """Return points of least V where the successor leaves the box."""
+        d = self.dynamics
+        ends = [
+            inside / exact(size)
+            for s, after, size in zip(d.states, d.rates, self.scales, strict=True)
+            for inside in (exact(s.upper) - after, after - exact(s.lower))
+        ]
+        outcome = [self._outwards(d.variables, inside, [], "successor") for inside in ends]
+        return [f for f in outcome if f is not None]
 
+    def decrease(self, around: Dynamics) -> Falsified | None:
+        """Return a point of least V in a box where V does not decrease."""
+        apart = zip(around.states, self.scales, strict=True)
+        parts = [power((variable(s.name) - number(s.rest)) / exact(size), 2) for s, size in apart]
+        square = sum(parts[1:], parts[0])
+        pace = exact(float(np.nanmedian(np.abs(self.paces))) or 1.0)
+        near = number(Fraction(repr(_NEAREST**2))) - square
+        return self._outwards(around.variables, -self.rise / square / pace, [near], "decrease")
 
-def _at(search: _Search, z: Array, p: Array, level: float, cause: str, *, confirmed: bool) -> Falsified:
-    d = search.dynamics
-    low, high = d.ranges
-    point = [*(d.equilibrium + search.scales * z), *(low + (high - low) * p)]
-    values = {v.name: float(value) for v, value in zip(d.variables, point, strict=True)}
-    return Falsified(level, values, cause, confirmed)
+    def _outwards(
+        self, variables: Sequence[Range], holds: Node, domain: Sequence[Node], cause: str
+    ) -> Falsified | None:
+        """Return a point of least V where `holds` < 0, as interval arithmetic confirms there or a little outwards."""
+        d, n = self.dynamics, len(self.dynamics.states)
+        sought = inequality(cause, variables, -self.function, number(0), [holds, *domain])
+        least = _points(sought, *_INSIDE, self.seed)
+        points = np.repeat(least[:, :_TRIED], len(_OUTWARDS), axis=1)
+        away = (points[:n] - d.equilibrium[:, None]) * (1 + np.resize(_OUTWARDS, points.shape[1]))
+        points[:n] = np.clip(d.equilibrium[:, None] + away, *d.box[:, :, None])
+        fails = certain_excess(inequality(cause, d.variables, number(0), holds, []).claim, points) > 0
+        return self._counterexample(points[:, int(np.argmax(fails))], cause, confirmed=True) if fails.any() else None
+
+    def _counterexample(self, point: Array, cause: str, *, confirmed: bool, level: float | None = None) -> Falsified:
+        n = len(self.dynamics.states)
+        value = float(self._at(point[:n, None])[0][0]) if level is None else level
+        names = [v.name for v in self.dynamics.variables]
+        return Falsified(value, dict(zip(names, point.tolist(), strict=True)), cause, confirmed)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from surctl.errors import InputError, NotApplicable, UnsupportedOperation, nearest
 from surctl.lyapunov.dynamics import Command, Dynamics, Range, Sampling, State, exact
 from surctl.lyapunov.equilibrium import refined
+from surctl.lyapunov.shifts import shifted
 from surctl.system import System, entry_labels, entry_units, find_equilibrium
 from surctl.system.sampled import Instant
 from surctl.system.values import checked_ranges, place_of, run_numbers, unit_of
@@ -213,7 +214,8 @@ def _dynamics(
         return dynamics
     inputs = ca.vertcat(symbols, *free)
     sampling = _sampling(system, moves, whole, flat, f, after, inputs, dynamics.variables, constants)
-    return replace(dynamics, sampling=sampling)
+    dynamics = replace(dynamics, sampling=sampling)
+    return dynamics if dynamics.rests() else shifted(dynamics) or dynamics
 
 
 def _sampling(

@@ -162,10 +162,7 @@ def fails_nearby(
     """
     n = len(d.states)
     scales = np.minimum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
-    z, w = ca.SX.sym("z", n), ca.SX.sym("w", len(d.parameters))
-    value, change = ca.vertsplit(d.compiled(function, d.change(function))(ca.DM(d.equilibrium) + ca.DM(scales) * z, w))
-    rise = change - value if d.discrete else change
-    bend = ca.Function("bend", [z, w], [ca.hessian(-value, z)[0], ca.hessian(rise + (rate or 0.0) * value, z)[0]])
+    bend = bends(d, function, rate or 0.0, scales)
     nothing = Power(0.0, 1)
     claim = Stability(d, function, level, rate or None)
     inequalities = claim.inequalities([1.0] * n, nothing, None if rate else nothing)
@@ -173,7 +170,8 @@ def fails_nearby(
     fast = 1.0 if d.discrete else max(float(np.abs(np.linalg.eigvals(linear.matrices)).max()), rate or 0.0)
     for corner in d.corners().T:
         size = 0.0
-        for k, matrix in enumerate(np.asarray(part) for part in bend(np.zeros(n), corner)):
+        of_value, of_rise = (np.asarray(part) for part in bend(np.zeros(n), corner))
+        for k, matrix in enumerate((-of_value, of_rise)):
             if not np.all(np.isfinite(matrix)):
                 continue
             size = max(size * fast, float(np.abs(matrix).max()))
@@ -190,6 +188,21 @@ def fails_nearby(
             why = too_fast(d, linear, rate) if k else ""
             return Failure(f"{fact} close to the equilibrium, at {point_text(point)}{f': {why}' * bool(why)}", point)
     return None
+
+
+def bends(d: Dynamics, function: Node, rate: float, scales: Array) -> ca.Function:
+    """Return the second derivatives (n, n) of V and of V' + rate V, or V⁺ − V + rate V, as a function of z and w.
+
+    Args:
+        d: the dynamics.
+        function: V, an expression of the states.
+        rate: the rate.
+        scales: lengths (n,) of the states; the state is x* + scales · z.
+    """
+    z, w = ca.SX.sym("z", len(scales)), ca.SX.sym("w", len(d.parameters))
+    value, change = ca.vertsplit(d.compiled(function, d.change(function))(ca.DM(d.equilibrium) + ca.DM(scales) * z, w))
+    rise = (change - value if d.discrete else change) + rate * value
+    return ca.Function("bends", [z, w], [ca.hessian(value, z)[0], ca.hessian(rise, z)[0]])
 
 
 def _confirmed(d: Dynamics, claim: object, along: Array, corner: Array) -> dict[str, float] | None:

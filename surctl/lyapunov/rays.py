@@ -246,6 +246,12 @@ def hugged(dynamics: Dynamics, function: Node, level: float) -> Dynamics:
     return bounded(d, extents)
 
 
+def enclosing(dynamics: Dynamics, covers: Array, level: float) -> Dynamics:
+    """Return the dynamics with bounds just outside ξ' Q⁻¹ ξ ≤ level about each equilibrium, for all Q (K, n, n)."""
+    far = np.sqrt(level * np.diagonal(covers, axis1=1, axis2=2).max(axis=0)) + dynamics.radii
+    return bounded(dynamics, np.array([far, far]))
+
+
 def bounded(dynamics: Dynamics, extents: Array) -> Dynamics:
     """Return the dynamics with bounds just outside x* − extents[0] and x* + extents[1] (2, n); no bound is widened."""
     away = extents * (_WIDE if dynamics.discrete else _MARGIN)

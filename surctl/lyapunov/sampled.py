@@ -23,7 +23,7 @@ from surctl.lyapunov.claims import Stability, every_digit, stated_number
 from surctl.lyapunov.decide import Decision
 from surctl.lyapunov.dynamics import Dynamics, Range, State
 from surctl.lyapunov.radii import drift, norm, radii
-from surctl.lyapunov.rays import bounded
+from surctl.lyapunov.rays import enclosing
 from surctl.lyapunov.slope_search import Embedding, Family, quadratic
 from surctl.verification.conic import Inequality, minimise, symmetric_basis
 from surctl.verification.formula import number, text_of, variable
@@ -93,7 +93,7 @@ class _Loop:
         assert dynamics.sampling is not None
         self.dynamics, self.sampling, self.share, self.until = dynamics, dynamics.sampling, share, until
         self.n, self.m = len(dynamics.states), len(self.sampling.commands)
-        self.scales = np.minimum(dynamics.box[1] - dynamics.equilibrium, dynamics.equilibrium - dynamics.box[0])
+        self.scales = dynamics.freedom
         self.after = [self.sampling.next.get(s.name, variable(s.name)) for s in dynamics.states]
         self.after += [command.value for command in self.sampling.commands]
         self.pools: list[Bits] = []
@@ -127,7 +127,7 @@ class _Loop:
         ]
         zero = number(0)
         rates = [self.sampling.flow.get(s.name, zero) for s in d.states] + [zero] * self.m
-        whole = Dynamics("flow", "continuous", (*d.states, *held), tuple(rates), d.parameters)
+        whole = Dynamics("flow", "continuous", (*d.states, *held), tuple(rates), d.parameters, shifts=d.shifts)
         covers = knots.copy()
         for k, pair in enumerate(ends, start=self.n):  # the range of a held command decides, and not its knots
             covers[:, k, k] += _WIDEST * max(map(abs, pair)) ** 2
@@ -348,14 +348,14 @@ def sampled_region(
         return None
     p = np.asarray(np.linalg.inv(shapes.inverse), dtype=float)
     function = quadratic(dynamics, p)
-    radius = _radii(dynamics, shapes, share or 0.0)
-    for level in _LEVELS:
+    radius = dict(dynamics.shifts) or _radii(dynamics, shapes, share or 0.0)
+    for wide in _LEVELS:
+        level = dynamics.inner_level(p, wide)
         left = until - time.process_time()
-        if left <= 0:
+        if left <= 0 or not level > 0:
             break
         widest = np.vstack([shapes.inverse[None], shapes.knots[:, : len(shapes.inverse), : len(shapes.inverse)]])
-        far = np.sqrt(level * np.diagonal(widest, axis1=1, axis2=2).max(axis=0))
-        claim = SampledStability(bounded(dynamics, np.array([far, far])), function, level, share, radius)
+        claim = SampledStability(enclosing(dynamics, widest, wide), function, level, share, radius)
         document = seal(claim.kind, claim.plain(), _evidence(shapes))
         checked = check_document(document, time_limit=min(left, PATIENCE))
         if progress:

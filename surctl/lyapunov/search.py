@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+import numpy as np
+
 from surctl.lyapunov.candidates import Candidate, candidates, strict_variants
 from surctl.lyapunov.claims import Stability
 from surctl.lyapunov.decide import Decision, decide_motion, has_any, prove_by_slopes, prove_motion
@@ -14,7 +16,7 @@ from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import Linear, inexact, linearisation
 from surctl.lyapunov.falsified import Falsified, least_level
 from surctl.lyapunov.near import Failure, fails_nearby, point_text, short, stationary_state, too_fast
-from surctl.lyapunov.rays import hugged
+from surctl.lyapunov.rays import enclosing, hugged
 from surctl.lyapunov.sampled import sampled_region
 from surctl.lyapunov.slope_search import LABEL as SLOPES
 from surctl.lyapunov.slope_search import form_of, relative_volume, slope_candidate
@@ -144,6 +146,9 @@ def find_stability(
             return StabilityResult("proved", "", held, None, SLOPES, volume)
         if _jumps(d.rates):
             return StabilityResult("unknown", f"no region of the sampled loop is proved, and the law {_JUMPS}")
+    if d.shifts:
+        moving = search.by_slopes(until - time.process_time()) if searched else None
+        return moving or StabilityResult("unknown", _SHIFTED)
     few = len(d.states) <= _FEW
     hard = has_any(d, BRANCHING) or len(d.variables) > _MANY or inexact(d)
     if searched and hard:
@@ -200,6 +205,7 @@ def find_stability(
 
 
 _CLOSE = {"flat": "V' is only semidefinite", "decrease": "V does not decrease close to the equilibrium"}
+_SHIFTED = "the equilibrium moves with the parameters, and the slope rule, which serves then, finds no region"
 _JUMPS = "may jump (if_else, select), for which no rule has a proof: write limits with fmin and fmax"
 
 
@@ -238,13 +244,18 @@ class _Search:
         if candidate is None:
             return None
         until = time.process_time() + _PROOF * seconds
-        for level in _SAFE:
-            claim = Stability(hugged(d, candidate.function, level), candidate.function, level, self.rate)
+        p = form_of(candidate.function, d.names)
+        for wide in _SAFE:
+            level = d.inner_level(p, wide)
+            cover = np.asarray(np.linalg.inv(p)[None], dtype=float)
+            tight = enclosing(d, cover, wide) if d.shifts else hugged(d, candidate.function, level)
+            radii = {name: d.shifts[name] for name in d.names if d.shifts}
+            claim = Stability(tight, candidate.function, level, self.rate, radii)
             trial = prove_by_slopes(claim, time_limit=until - time.process_time(), feedbacks=candidate.feedbacks)
             self.say(f"{candidate.label}: level {level:.4g} {trial.verdict} {trial.reason}")
             if trial.verdict == "proved":
                 # only figures of a page: for many states, the search takes longer than the proof
-                bound = self.bound(candidate) if len(d.states) <= _SOME else None
+                bound = self.bound(candidate) if len(d.states) <= _SOME and not d.shifts else None
                 volume = candidate.volume * level ** (len(d.states) / 2)
                 return StabilityResult("proved", "", trial, bound, candidate.label, volume)
             if time.process_time() > until:

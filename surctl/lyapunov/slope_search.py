@@ -80,6 +80,7 @@ class Embedding(Rows):
                 Fraction(1),
                 values,
                 gains.tolist(),
+                [Fraction(r) for r in d.radii.tolist()] if d.shifts else (),
             )
         except (Rejected, Undefined) as reason:
             raise UnsupportedOperation(str(reason), key="slopes") from None
@@ -246,8 +247,7 @@ class _Shapes:
     scales: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        d = self.dynamics
-        self.scales = np.minimum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
+        self.scales = self.dynamics.freedom
 
     def losses(self, a: Array, p: Array) -> Array:
         """Return the matrices (B, n, n) that must be positive definite."""

@@ -51,7 +51,7 @@ def _undefined_operation(function: ca.Function, arguments: Sequence[Array]) -> s
 
 def _singular(op: str, operands: list[float]) -> bool:
     match op, operands:
-        case "sqrt", [value]:
+        case "sqrt" | "log", [value]:
             return value < _UNDEFINED_WITHIN
         case "acos", [value]:
             return abs(value) > 1 - _UNDEFINED_WITHIN
@@ -215,7 +215,8 @@ def _equilibrium(functions: _Rest, values: Mapping[str, ArrayLike] | None) -> Op
         starts.append(np.mean(ends, axis=1))
     for search in (_newton, _transient):
         for x in starts:
-            point, rests = search(functions, np.concatenate([x, system.controller.initial_state(), memory]))
+            with np.errstate(over="ignore", invalid="ignore"):  # a search may run away
+                point, rests = search(functions, np.concatenate([x, system.controller.initial_state(), memory]))
             if rests:
                 return functions.operating(point)
             tried.append(point)
@@ -270,7 +271,7 @@ def _transient(functions: _Rest, point: Array) -> tuple[Array, bool]:
         if not (np.isfinite(error).all() and np.isfinite(slope).all()):
             break
         before, size = size, float(np.linalg.norm(rates * error))
-        if size <= _NEAR * max(1.0, float(np.max(np.abs(point)))):
+        if not _NEAR * max(1.0, float(np.max(np.abs(point)))) < size < np.inf:
             break
         length = float(np.clip(length * min(2.0, max(0.5, before / size)), system.dt, _LONGEST * system.dt))
         step = np.eye(point.size) / length - rates[:, None] * slope

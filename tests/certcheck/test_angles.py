@@ -105,8 +105,8 @@ def test_pi_lies_between_its_ends() -> None:
 @pytest.mark.parametrize("x", [-0.15756893157958984, 0.9999999999999999, 2.0**-45, -1.0])
 def test_an_arccos_by_the_checker_is_rounded_outward(x: float) -> None:
     sheet = ExpressionTable(("x",))
-    (jet,) = enclose(sheet, [sheet.read("acos(x)")], [span(x, x)])
-    assert holds(jet.value, libmp.mpf_acos(raw(x), BITS))
+    (value_,) = enclose(sheet, [sheet.read("acos(x)")], [span(x, x)])
+    assert holds(value_, libmp.mpf_acos(raw(x), BITS))
 
 
 # numbers of 100 bits, whose roundings to 60 bits lie on either side

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.enclosure import exact
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
-from surctl.certcheck.inequality import Inequality, _atom_range, _bends_down, halves
+from surctl.certcheck.inequality import Inequality, _atom_range, halves
+from surctl.certcheck.rules import bends_down as bends_down_on
 
 CASE: dict[str, Any] = {"choice": "", "denominators": [], "multipliers": [], "tree": "n", "points": []}
 UNIT = ((-1.0, 1.0), (-1.0, 1.0))
@@ -94,8 +95,8 @@ def test_a_tangent_point_lies_in_its_box(point: list[float]) -> None:
 
 def test_a_function_is_concave_if_its_hessian_is_negative_definite_but_for_zero_rows() -> None:
     def bends_down(*rows: list[float | None]) -> bool:
-        bend: Any = [[None if entry is None else exact(entry) for entry in row] for row in rows]
-        return _bends_down(bend, [True] * len(rows))
+        bend = np.array([[0.0 if entry is None else entry for entry in row] for row in rows])[:, :, None]
+        return bool(bends_down_on((bend, bend), np.ones((len(rows), 1), dtype=bool))[0])
 
     assert bends_down([-1, 0], [0, -1]) and bends_down([-2, 1], [1, -1]) and bends_down([-1, None], [None, None])
     assert bends_down([0, 0], [0, -1]) and bends_down([None, None], [None, None])

@@ -14,7 +14,8 @@ from surctl.certcheck import Rejected
 from surctl.certcheck.enclosure import Undefined, span
 from surctl.certcheck.radii import widened
 from surctl.certcheck.region_exact import inverse, up
-from surctl.certcheck.slope_rows import _MOST_EXPONENT, Number, Rows, _fraction
+from surctl.certcheck.secants import _MOST_EXPONENT, fraction
+from surctl.certcheck.slope_rows import Number, Rows
 from surctl.verification.formula import parse, values_of, variable
 
 Array = NDArray[np.float64]
@@ -246,5 +247,5 @@ def test_the_ends_of_a_range_are_rounded_outwards() -> None:
 def test_a_number_with_a_huge_exponent_is_refused_before_it_is_written() -> None:
     for exponent in (_MOST_EXPONENT + 1, -_MOST_EXPONENT - 1):
         with pytest.raises(Undefined, match="too large or small"):
-            _fraction((0, 1, exponent, 1))
-    assert _fraction((1, 3, -2, 2)) == Fraction(-3, 4)
+            fraction((0, 1, exponent, 1))
+    assert fraction((1, 3, -2, 2)) == Fraction(-3, 4)

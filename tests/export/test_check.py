@@ -22,11 +22,11 @@ from surctl.export.emulated import chosen_targets
 from surctl.export.envelope import as_records
 from surctl.export.precision import Rounded
 from surctl.ir import Block, Layout, Port, Real, lower, without_libm
-from surctl.ir.frames import stack_of
 from surctl.marine.export import build_bundle
 from tests.export.altered import altered
 from tests.export.closed_form import exported
 from tests.export.standin import StandIn, recorded, stand_in
+from tests.stack import stack_of
 from tests.tools import need, need_compiler, need_module
 
 EMULATED = ("cortex-m3", "cortex-m4f", "cortex-m4f-Os", "cortex-m7")

@@ -50,6 +50,10 @@ LIBM_MAKERS: dict[str, Make] = {
     "cos": lambda a, b, c: ca.cos(b),
     "atan2": lambda a, b, c: ca.atan2(a, 1 + b * b),
     "acos": lambda a, b, c: ca.acos(a / (1 + ca.fabs(a))),
+    "tan": lambda a, b, c: ca.tan(a),
+    "exp": lambda a, b, c: ca.exp(a),
+    "log": lambda a, b, c: ca.log(1 + b * b),
+    "tanh": lambda a, b, c: ca.tanh(c),
 }
 
 picks = st.lists(

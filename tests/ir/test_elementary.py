@@ -1,4 +1,4 @@
-"""sin, cos, atan2 and acos without a mathematical library: how exact, and what happens where they have no value."""
+"""Elementary functions without a mathematical library: how exact, and what happens where they have no value."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.ir import Loop, Program, Routine, compile_block, lower, replay, without_libm
+from surctl.ir.c99 import Real
 from surctl.ir.program import LIBM
-from tests.ir.expressions import LIBM_MAKERS, whole
+from tests.ir.expressions import LIBM_MAKERS
 from tests.tools import need_compiler
 
 
 @cache
-def alone(name: str) -> Program:
+def alone(name: str, real: Real = "float64") -> Program:
     x = ca.SX.sym("x", 2)
-    made = {"sin": ca.sin(x[0]), "cos": ca.cos(x[0]), "atan2": ca.atan2(x[0], x[1]), "acos": ca.acos(x[0])}[name]
-    block = without_libm(lower(ca.Function(name, [x], [made])))
+    made = getattr(ca, name)(x[0], x[1]) if name == "atan2" else getattr(ca, name)(x[0])
+    block = without_libm(lower(ca.Function(name, [x], [made])), real)
     assert isinstance(block, Program) and not block.libm
     return block
 
@@ -89,6 +90,36 @@ def test_acos_against_eighty_digits(a: float) -> None:
     assert abs(Decimal(value("acos", a)) - exact("acos", a)) < Decimal("5e-16")
 
 
+@settings(max_examples=25)
+@given(a=st.one_of(st.floats(-708, 709.4), st.floats(-2, 2), st.sampled_from([1e-300, -1e-17, 88.0, math.log(2) / 2])))
+def test_exp_against_eighty_digits(a: float) -> None:
+    with localcontext(prec=80):
+        assert abs(Decimal(value("exp", a)) / Decimal(a).exp() - 1) < Decimal("4e-16")
+
+
+@settings(max_examples=25)
+@given(
+    a=st.one_of(
+        st.floats(5e-324, 1.79e308), st.floats(0.5, 2), st.sampled_from([1 - 2.0**-53, 1 + 2.0**-52, math.sqrt(2), 0.5])
+    )
+)
+def test_log_against_eighty_digits(a: float) -> None:
+    with localcontext(prec=80):
+        wanted = Decimal(a).ln()
+        assert abs(Decimal(value("log", a)) - wanted) <= Decimal("4e-16") * abs(wanted)
+
+
+@settings(max_examples=25)
+@given(a=st.one_of(st.floats(-30, 30), st.floats(-1e300, 1e300)))
+def test_tanh_and_tan_against_eighty_digits(a: float) -> None:
+    with localcontext(prec=80):
+        e = (2 * Decimal(max(-90.0, min(90.0, a)))).exp()
+        assert abs(Decimal(value("tanh", a)) - (e - 1) / (e + 1)) < Decimal("4e-16")
+        b = a if abs(a) < 1e5 else math.atan(a)
+        wanted = exact("sin", b) / exact("cos", b)
+        assert abs(Decimal(value("tan", b)) - wanted) < Decimal("8e-16") * (1 + wanted**2)
+
+
 def test_small_angles_keep_their_relative_accuracy() -> None:
     for a in (1e-8, -3e-5, 0.01, 0.3):
         for name, args in (("sin", (a,)), ("atan2", (a, 1.0))):
@@ -103,16 +134,31 @@ def test_many_against_numpy() -> None:
     np.testing.assert_allclose(replay(alone("atan2"), x)[0][:, 0], np.arctan2(x[:, 0], x[:, 1]), rtol=4e-16, atol=0)
 
 
-@pytest.mark.parametrize(("name", "bound"), [("sin", 1.5e-7), ("cos", 1.5e-7), ("atan2", 4e-7), ("acos", 4e-7)])
+@pytest.mark.parametrize(
+    ("name", "bound"), [("sin", 1.5e-7), ("cos", 1.5e-7), ("atan2", 4e-7), ("acos", 4e-7), ("tanh", 2e-7)]
+)
 def test_in_float(name: str, bound: float) -> None:
     rng = np.random.default_rng(4)
     x = rng.uniform(-1, 1, (20000, 2)) * (1.0 if name == "acos" else 3000.0)
     x[:2000] /= 1.0 if name == "acos" else 1000.0
+    x[2000:] *= 3e-3 if name == "tanh" else 1.0
     x = x.astype(np.float32).astype(float)
-    numpy = {"sin": np.sin, "cos": np.cos, "acos": np.arccos}
+    numpy = {"sin": np.sin, "cos": np.cos, "acos": np.arccos, "tanh": np.tanh}
     want = np.arctan2(x[:, 0], x[:, 1]) if name == "atan2" else numpy[name](x[:, 0])
     have = replay(alone(name), x, real=np.float32)[0][:, 0]
     assert np.abs(have.astype(float) - want).max() < bound
+
+
+def test_exp_and_log_in_float() -> None:
+    x = np.random.default_rng(5).uniform(-87, 88, (20000, 2)).astype(np.float32)
+    with np.errstate(under="ignore"):
+        sizes = np.exp(x[:, 0].astype(float)).astype(np.float32)
+    exp, log = alone("exp", "float32"), alone("log", "float32")
+    have = replay(exp, x, real=np.float32)[0][:, 0] / np.exp(x[:, 0].astype(float))
+    assert np.abs(have - 1).max() < 3e-7
+    have = replay(log, np.column_stack([sizes, sizes]), real=np.float32)[0][:, 0]
+    wanted = np.log(sizes.astype(float))
+    assert (np.abs(have - wanted) <= 3e-7 * np.abs(wanted)).all()
 
 
 def test_quadrants_axes_and_zeros() -> None:
@@ -138,6 +184,23 @@ def test_what_has_no_value_is_nan(real: type) -> None:
         assert math.isnan(value("acos", a, real=real))
 
 
+@pytest.mark.parametrize("real", ["float64", "float32"])
+def test_ends_of_exp_log_and_tanh(real: Real) -> None:
+    dtype = np.float64 if real == "float64" else np.float32
+
+    def at(name: str, a: float) -> float:
+        return float(replay(alone(name, real), [a, 0.0], real=dtype)[0][0])
+
+    inf = math.inf
+    assert [at("exp", a) for a in (inf, 710.0, -inf, -720.0, 0.0, -0.0)] == [inf, inf, 0.0, 0.0, 1.0, 1.0]
+    assert [at("log", a) for a in (inf, 0.0, -0.0, 1.0)] == [inf, -inf, -inf, 0.0]
+    assert [at("tanh", a) for a in (inf, -inf, 1e30, -1e30, 0.0)] == [1.0, -1.0, 1.0, -1.0, 0.0]
+    least = float(np.finfo(dtype).smallest_subnormal)
+    assert at("log", least) == pytest.approx(math.log(least), rel=1e-6)
+    assert all(math.isnan(at(name, math.nan)) for name in ("exp", "log", "tanh", "tan"))
+    assert math.isnan(at("log", -least)) and math.isnan(at("log", -inf)) and math.isnan(at("tan", inf))
+
+
 def test_one_reduction_for_the_sine_and_the_cosine_of_one_angle() -> None:
     x = ca.SX.sym("x")
     both = without_libm(lower(ca.Function("both", [x], [ca.vertcat(ca.sin(x), ca.cos(x))])))
@@ -147,12 +210,15 @@ def test_one_reduction_for_the_sine_and_the_cosine_of_one_angle() -> None:
 
 def test_inside_a_routine_and_the_same_bytes_in_c() -> None:
     need_compiler()
-    body = lower(whole(LIBM_MAKERS))
+    n = len(LIBM_MAKERS)
+    x = ca.SX.sym("x", n)
+    made = [make(x[k], x[(k + 1) % n], x[(k + 2) % n]) for k, make in enumerate(LIBM_MAKERS.values())]
+    body = lower(ca.Function("body", [x], [ca.fmax(ca.fmin(ca.vertcat(*made), 1e3), -1e3)]))
     turn = Loop(body, 4, ("x",), ("y",))
-    routine = without_libm(Routine("r", (("x", 4),), (turn,), ("y",)))
+    routine = without_libm(Routine("r", (("x", n),), (turn,), ("y",)))
     assert routine.libm == frozenset() and body.libm == LIBM
     assert without_libm(routine) is routine
-    points = np.random.default_rng(5).normal(size=(100, 4))
+    points = np.random.default_rng(5).normal(size=(100, n))
     for flags in ((), ("-O0",), ("-O3",)):
         have = compile_block(routine, flags=flags)(points)[0]
         assert have.tobytes() == replay(routine, points)[0].tobytes()

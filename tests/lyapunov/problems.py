@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+
+from surctl.lyapunov import Dynamics, Range, State
+from surctl.verification.formula import parse, variable
 
 VAN_DER_POL = """
 kind = "lyapunov"
@@ -52,3 +56,19 @@ def written(folder: Path, text: str, *changes: tuple[str, str]) -> Path:
     path = folder / "problem.toml"
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def dynamics(
+    states: Mapping[str, tuple[float, ...]],
+    rates: list[str],
+    parameters: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    discrete: bool = False,
+) -> Dynamics:
+    """Return dynamics; a state has bounds, and an equilibrium if it is not 0."""
+    ranges = tuple(Range(name, *ends) for name, ends in (parameters or {}).items())
+    known = {name: variable(name) for name in (*states, *(r.name for r in ranges))}
+    axes = tuple(State(k, v[0], v[1], equilibrium=v[2] if len(v) > 2 else 0.0) for k, v in states.items())
+    return Dynamics(
+        "example", "discrete" if discrete else "continuous", axes, tuple(parse(rate, known) for rate in rates), ranges
+    )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from surctl.certcheck import check_document
+from surctl.certcheck.rules import Rules
 from surctl.lyapunov import Dynamics, Stability, State, decide_motion
 from surctl.lyapunov.candidates import candidates, invariant, sign_symmetries
 from surctl.lyapunov.claims import Power
@@ -66,7 +67,7 @@ def test_a_form_is_exactly_zero_at_an_equilibrium(rates: dict[str, str], functio
     form = forms_of(replace(case, touching=statement.touching), statement.names, root)[0]
     tapes = [build_tape(statement.names, part) for part in ([form.numerator, *form.denominators], case.constraints)]
     written, box = build_tape(statement.names, statement.parts), (statement.lower, statement.upper)
-    assert search(BoxTask(*tapes, written, box, 0.0), deadline=time.process_time() + 20.0).closed
+    assert search(BoxTask(Rules(*tapes, 0.0), written, box), deadline=time.process_time() + 20.0).closed
 
 
 @pytest.mark.parametrize(

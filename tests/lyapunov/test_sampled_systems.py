@@ -182,10 +182,10 @@ def test_a_shifted_loop_has_a_region_about_its_exact_rest_point(goal: float, loa
         ({"disturbance.load": 3.0}, {}, "no equilibrium was found"),  # more than the limit of the command
         (
             {"reference.goal": 0.3},
-            {"disturbance.load": (-0.1, 0.3)},
+            {"disturbance.load": (-1.9, 1.9)},
             "moves with disturbance.load, .*give disturbance.load=0..0 ",
         ),
-        ({"reference.goal": 0.3, "disturbance.load": 0.1}, {"k": (1.9, 2.1)}, "its equilibrium moves with k"),
+        ({"reference.goal": 0.7, "disturbance.load": 0.5}, {"k": (1.5, 2.5)}, "its equilibrium moves with k"),
         ({"reference.goal": 1.5}, {}, r"not in \[-1, 1\] m"),
     ],
 )

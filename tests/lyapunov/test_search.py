@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -12,34 +11,20 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
-from surctl.lyapunov import Dynamics, Range, State, continuous_dynamics, find_barrier, find_stability
+from surctl.lyapunov import Dynamics, continuous_dynamics, find_barrier, find_stability
 from surctl.lyapunov.candidates import candidates
 from surctl.lyapunov.claims import Stability
 from surctl.lyapunov.decide import Decision, prove_motion
 from surctl.lyapunov.equilibrium import at_equilibrium, common_quadratic, linearisation
-from surctl.lyapunov.falsified import least_level
+from surctl.lyapunov.falsified import least_level, least_where
 from surctl.lyapunov.from_system import NOT_COVERED
 from surctl.lyapunov.near import short
 from surctl.system import Action, Controller, Plant, System
 from surctl.verification.formula import parse, text_of, variable
+from tests.lyapunov.problems import dynamics
 
 TRUE_AREA = 13.722
 """Area of the region of attraction of the Van der Pol oscillator in reverse time, inside its limit cycle."""
-
-
-def dynamics(
-    states: Mapping[str, tuple[float, ...]],
-    rates: list[str],
-    parameters: Mapping[str, tuple[float, float]] | None = None,
-    *,
-    discrete: bool = False,
-) -> Dynamics:
-    ranges = tuple(Range(name, *ends) for name, ends in (parameters or {}).items())
-    known = {name: variable(name) for name in (*states, *(r.name for r in ranges))}
-    axes = tuple(State(k, v[0], v[1], equilibrium=v[2] if len(v) > 2 else 0.0) for k, v in states.items())
-    return Dynamics(
-        "example", "discrete" if discrete else "continuous", axes, tuple(parse(rate, known) for rate in rates), ranges
-    )
 
 
 def van_der_pol(parameters: dict[str, tuple[float, float]] | None = None) -> Dynamics:
@@ -141,7 +126,7 @@ def test_the_equilibrium_is_found_and_several_are_named() -> None:
     with pytest.raises(InputError, match="the search finds none"):
         at_equilibrium(dynamics({"x": (-2.0, 2.0)}, ["1 + x^2"]))
     with pytest.raises(InputError, match="moves with the parameters"):
-        at_equilibrium(dynamics({"x": (-2.0, 2.0, 0.5)}, ["k - x"], {"k": (0.0, 0.4)}))
+        at_equilibrium(dynamics({"x": (-0.3, 2.0, 0.5)}, ["k - x"], {"k": (-0.4, 0.6)}))
 
 
 def test_one_quadratic_function_for_all_corners_of_the_parameters() -> None:
@@ -313,3 +298,13 @@ def test_a_state_rests_in_the_whole_box_or_is_refused(width: float) -> None:
             "pair[1] stay at rest up to rounding"
             in continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0)}).source
         )
+
+
+def test_the_least_level_at_which_an_expression_is_reached_is_found_above_a_floor() -> None:
+    d = dynamics({"x": (-8.0, 8.0), "y": (-8.0, 8.0)}, ["-x*(1 - x^2/9)", "-y*(1 - y^2/9)"])
+    x = {"x": variable("x"), "y": variable("y")}
+    function = parse("x^2 + y^2", x)
+    rise = d.change(function)  # 0 at the equilibrium, and then from |x| = 3 on
+    assert least_where(d, function, rise, floor=1.0) == pytest.approx(9.0, rel=1e-3)
+    assert least_where(d, function, parse("max(abs(x), abs(y)) - 2", x)) == pytest.approx(4.0, rel=1e-3)
+    assert least_where(d, function, parse("x - 9", x)) == np.inf

@@ -289,7 +289,8 @@ class Loop:
         listens = self.sensing == "sonar"
         numbers = self.noise.normals(count) if listens else np.zeros(count)
         chances = 2 * instants * wide
-        uniforms = self.noise.uniforms(chances) if listens and self.sensors.may_fail else np.full(chances, 0.5)
+        may_fail = bool(self.sensors.faults) or any(self.sensors.chances.numbers)
+        uniforms = self.noise.uniforms(chances) if listens and may_fail else np.full(chances, 0.5)
         samples, rest = numbers[:firings].reshape(instants, wide, size), numbers[firings + firings % 2 :]
         movers, own = rest[7:-1].reshape(self.slots, 4), rest[:6]
         return _StepNoise(samples, uniforms.reshape(instants, wide, 2), own, movers, float(rest[6]))

@@ -30,9 +30,10 @@ from surctl.priority.compiled.step import level_shapes
 from surctl.priority.optimality import LOSS, is_least
 from surctl.priority.settings import Mode, Settings
 from surctl.priority.solver.dual_step import OPTIMAL, Space
-from surctl.priority.solver.kernel import in_blocks, search
+from surctl.priority.solver.kernel import search
 from surctl.tasks import AccelerationLimit, Limit, Stack, Task, VelocityBox
 from tests.oracles.stored_problems import stored_problem
+from tests.priority.blocks import in_blocks
 from tests.tools import need_compiler
 
 ARM, DOUBTFUL, UNSEEN = (

@@ -10,9 +10,8 @@ import numpy as np
 from surctl.marine.control import load_gains
 from surctl.marine.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
 from surctl.marine.simulation import Case, Sensors, load_scenario, simulate_batch
-from surctl.marine.simulation.batch.engines import compiled_loop
+from surctl.marine.simulation.batch.engines import compiled_loop, pack, structure_of
 from surctl.marine.simulation.batch.loop import build_loop
-from surctl.marine.simulation.batch.pack import pack, structure_of
 from surctl.marine.vehicle import load_vehicle
 from tests.oracles.mission_loop import simulate as in_numpy
 from tests.tools import need_compiler

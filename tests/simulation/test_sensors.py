@@ -50,7 +50,7 @@ gaps_s = [[3.0, 5.0]]
     assert array.azimuths == pytest.approx((0, 2 * pi / 3, 4 * pi / 3))
     assert array.order == (0, 1, 2)
     assert (array.beam_angle, array.scale, array.bias) == pytest.approx((pi / 12, 0.99, 0.02))
-    assert sensors.chances.dropout == 0.1 and sensors.faults[0].kind == "stuck" and sensors.may_fail
+    assert sensors.chances.dropout == 0.1 and sensors.faults[0].kind == "stuck"
     assert (station.messages.latency, station.messages.loss) == (0.2, 0.3)
     assert own is not None and own.fixes.gaps == ((3.0, 5.0),)
     assert sensors.array_on(0.3).hull_radius == 0.3
@@ -59,7 +59,7 @@ gaps_s = [[3.0, 5.0]]
 def test_without_tables_it_is_the_paper_s_array_and_nothing_fails() -> None:
     sensors = load_scenario("pool-behind").sensors
     assert sensors.equipment.array == SonarArray()
-    assert not sensors.may_fail
+    assert not sensors.faults and not any(sensors.chances.numbers)
     assert sensors.on(0.2) == sensors.equipment
 
 

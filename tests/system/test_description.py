@@ -123,20 +123,20 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
     "figure": (lambda: replace(pendulum(), costs={"f": Cost(lambda s: s.x["angel"], "max", "rad")}), r"costs\.f"),
     "how": (lambda: replace(pendulum(), costs={"f": Cost(lambda s: 0, "sum", "1")}), r"costs\.f\.how = 'sum'"),  # type: ignore[arg-type]
     "figure in C": (
-        lambda: replace(level(), costs={"f": Cost(lambda s: ca.exp(s.x["height"]), "max", "1")}),
-        r"^costs\.f: operation 'exp' is not supported by the instruction list; approximate it",
+        lambda: replace(level(), costs={"f": Cost(lambda s: ca.erf(s.x["height"]), "max", "1")}),
+        r"^costs\.f: operation 'erf' is not supported by the instruction list; approximate it",
     ),
     "stop in C": (
-        lambda: replace(level(), stops={"s": lambda s: ca.log(s.x["height"])}),
-        r"^stops\.s: operation 'log'",
+        lambda: replace(level(), stops={"s": lambda s: ca.erf(s.x["height"])}),
+        r"^stops\.s: operation 'erf'",
     ),
     "reference in C": (
-        lambda: replace(level(), reference=lambda t, r: {"target": ca.exp(t)}),
-        r"^reference: operation 'exp'",
+        lambda: replace(level(), reference=lambda t, r: {"target": ca.erf(t)}),
+        r"^reference: operation 'erf'",
     ),
     "disturbance in C": (
-        lambda: replace(level(), disturbance=lambda t, d: {"rain": ca.tan(t)}),
-        r"^disturbance: operation 'tan' .*; write sin",
+        lambda: replace(level(), disturbance=lambda t, d: {"rain": ca.erf(t)}),
+        r"^disturbance: operation 'erf' .*; approximate",
     ),
     "figure of a free symbol": (
         lambda: replace(level(), costs={"f": Cost(lambda s: ca.SX.sym("q"), "max", "1")}),

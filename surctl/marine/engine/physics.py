@@ -353,9 +353,6 @@ class BatchCase:
     stepper: Callable[[Law], Any] | None = None
 
 
-_law: Any = None  # of this process
-
-
 def simulate_seeds(batch_case: BatchCase, seeds: Sequence[int], *, processes: int = 1) -> Iterator[Run]:
     """Yield the runs of a case with the given seeds in their order; each process builds the law once.
 
@@ -373,29 +370,24 @@ def simulate_with_steppers(
     """
     if processes < 1:
         raise InputError("must be at least 1", key="processes", value=processes, remedy="give 1 or more")
-    law = batch_case.case.build(batch_case.fallback)
     if processes == 1 or len(seeds) == 1:
         for seed in seeds:
-            yield _simulated(batch_case, law, compared, seed)
+            yield _simulated(batch_case, compared, seed)
         return
+    law = batch_case.case.build(batch_case.fallback)
     # started afresh: a copy of this process would share its threads' locks and its connection to the display
-    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(batch_case,))
-    with pool:
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         for run, report in pool.map(partial(_in_process, batch_case, compared), seeds):
             yield replace(run, law=law), report
 
 
-def _begin(batch_case: BatchCase) -> None:
-    global _law
-    _law = batch_case.case.build(batch_case.fallback)
-
-
 def _in_process(batch_case: BatchCase, compared: bool, seed: int) -> tuple[Run, Any]:
-    run, report = _simulated(batch_case, _law, compared, seed)
+    run, report = _simulated(batch_case, compared, seed)
     return replace(run, law=None), report  # type: ignore[arg-type]  # a law cannot be sent
 
 
-def _simulated(batch_case: BatchCase, law: Law, compared: bool, seed: int) -> tuple[Run, Any]:
+def _simulated(batch_case: BatchCase, compared: bool, seed: int) -> tuple[Run, Any]:
+    law = batch_case.case.build(batch_case.fallback)  # each process builds it once
     stepper = None if batch_case.stepper is None else batch_case.stepper(law)
     options: dict[str, Any] = {"thruster_faults": batch_case.thruster_faults, "physics": batch_case.physics}
     run = simulate_case(batch_case.case, seed=seed, law=law, stepper=stepper, **options)

@@ -21,7 +21,7 @@ from surctl.export.bundle import law_id
 from surctl.export.contract import Exportable, WrappedLaw, command_size, glance
 from surctl.export.emulated import LineDown, Reply, SerialLine
 from surctl.export.envelope import Envelope, Records
-from surctl.export.precision import Guarded, Rounded, replayed, rounded
+from surctl.export.precision import Guarded, Rounded, differing, replayed, rounded
 from surctl.ir import (
     Block,
     Call,
@@ -110,17 +110,12 @@ def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = 
     if law.perception is not None and constants is not None:
         remedy = "set --sensing truth, or omit this option"
         raise InputError("are only for laws without perception", key="constant-gains", remedy=remedy)
-    if not closed:
-        single = in_real(law, real)
-        if constants is None:
-            return single
-        return ClosedForm(law, _without_gains(single.block, constants), Layout(()), np.array(constants, dtype=float))
-    if real == "float64" and constants is None:
+    if closed and real == "float64" and constants is None:
         return law
-    block = without_libm(law.stages.closed, real)
+    shipped = ClosedForm(law, without_libm(law.stages.closed, real), law.gains) if closed else in_real(law, real)
     if constants is None:
-        return ClosedForm(law, block, law.gains)
-    return ClosedForm(law, _without_gains(block, constants), Layout(()), np.array(constants, dtype=float))
+        return shipped
+    return ClosedForm(law, _without_gains(shipped.block, constants), Layout(()), np.array(constants, dtype=float))
 
 
 def _without_gains(block: Block, constants: Vector) -> Block:
@@ -393,7 +388,7 @@ class LinkedLaw:
         within = self.envelope
         if not self.gains.size:
             within = replace(within, gains=np.zeros((0, 2)), orders=())
-        return Guarded(law, within.fitted(self.shipped, self.real), self.real)
+        return Guarded(law, self.real, within.fitted(self.shipped, self.real))
 
     def report(self) -> LinkReport:
         """Return the statistics of the connection; each reply is compared with a step in Python from the same state.
@@ -419,10 +414,8 @@ class LinkedLaw:
         whole = [rows.tau, rows.state, rows.telemetry]
         mine = np.hstack(self._glance(*whole) if self.compact else whole).astype(self.real)
         theirs = np.array([np.frombuffer(row[2].raw, dtype=np.dtype(self.real).newbyteorder("<")) for row in self._log])
-        bits = f"u{mine.itemsize}"
-        same = (mine.view(bits) == theirs.astype(self.real).view(bits)) | (np.isnan(mine) & np.isnan(theirs))
         status = np.array([row[2].status for row in self._log])
-        return np.flatnonzero(~same.all(axis=1) | (status != rows.status))
+        return np.union1d(differing(mine, theirs.astype(self.real)), np.flatnonzero(status != rows.status))
 
     def _glance(self, tau: Vector, state: Vector, telemetry: Vector) -> list[Vector]:
         # the numbers of a compact reply
@@ -476,10 +469,7 @@ class CompiledLaw:
         columns = [np.array(column) for column in zip(*self._log, strict=True)]
         wrong = np.zeros(0, dtype=np.intp)
         if columns:
-            mine = np.hstack(replay(self.law.block, *columns[:3]))
-            theirs = np.hstack(columns[3:])
-            same = (mine == theirs) | (np.isnan(mine) & np.isnan(theirs))
-            wrong = np.flatnonzero(~same.all(axis=1))
+            wrong = differing(np.hstack(replay(self.law.block, *columns[:3])), np.hstack(columns[3:]))
         trips = (float(np.mean(self._times)), float(np.max(self._times))) if self._times else (0.0, 0.0)
         steps = len(self._log)
         first = int(wrong[0]) if wrong.size else None

@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -23,12 +23,19 @@ from surctl.ir.cache import cached_bytes
 from surctl.marine.control import NONFINITE, WORKING, Gains, Law, check_forces, law_options
 from surctl.marine.guidance import ROW
 from surctl.marine.simulation.batch.case import Case, vehicle_law
-from surctl.marine.simulation.batch.counting import metrics_table
-from surctl.marine.simulation.batch.engines import loop_sources
+from surctl.marine.simulation.batch.engines import loop_sources, pack, structure_of
 from surctl.marine.simulation.batch.loop import Loop, loop_of
-from surctl.marine.simulation.batch.pack import pack, structure_of
-from surctl.marine.simulation.batch.structure import ABSENT, Mission, Structure
-from surctl.marine.simulation.metrics import GONE, LINK_LOST, METRICS, STOPPED_LIMIT, STOPS, Metrics
+from surctl.marine.simulation.batch.structure import Mission, Structure
+from surctl.marine.simulation.metrics import (
+    ABSENT,
+    GONE,
+    LINK_LOST,
+    METRICS,
+    STOPPED_LIMIT,
+    STOPS,
+    Metrics,
+    metrics_table,
+)
 from surctl.marine.simulation.physics import Contact, OwnPhysics, PhysicsMaker, advanced
 from surctl.marine.simulation.run import SENSING, Record, Run, Sensing
 from surctl.marine.simulation.scenario import Scenario
@@ -42,11 +49,8 @@ Vector: TypeAlias = NDArray[np.float64]
 Values: TypeAlias = dict[str, Vector]
 
 
-class Stepper(Protocol):
-    """What takes the place of a law in a run, for instance its C in another process."""
-
-    def __call__(self, x: Vector, u: Vector, p: Vector, /) -> ControllerStep:
-        """Return the control step from the law's state x, inputs u and parameters p."""
+Stepper: TypeAlias = Callable[[Vector, Vector, Vector], ControllerStep]
+"""What takes the place of a law in a run, such as its C in another process: a step from state x, inputs u, gains p."""
 
 
 def simulate(

@@ -12,11 +12,11 @@ from surctl.ir import Layout, Port
 from surctl.marine.control import Gains, Law, check_forces
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, follow
 from surctl.marine.simulation.batch.case import vehicle_law
-from surctl.marine.simulation.batch.counting import path_square
+from surctl.marine.simulation.batch.engines import pack, structure_of
 from surctl.marine.simulation.batch.loop import clearances, free_column, loop_of, obstacle_points, pushed, with_walls
-from surctl.marine.simulation.batch.pack import pack, structure_of
-from surctl.marine.simulation.batch.structure import ABSENT, Structure
+from surctl.marine.simulation.batch.structure import Structure
 from surctl.marine.simulation.loop import case_of
+from surctl.marine.simulation.metrics import ABSENT, path_square
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.sensors import FIRING
 from surctl.marine.simulation.world import build_world

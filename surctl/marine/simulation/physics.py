@@ -69,17 +69,8 @@ class Physics(Protocol):
         contacts: the contacts of the hull until now, one for each obstacle or wall.
     """
 
-    @property
-    def name(self) -> str:
-        """Return the name of the physics in results."""
-
-    @property
-    def state(self) -> Vector:
-        """Return the plant's state."""
-
-    @state.setter
-    def state(self, value: Vector) -> None:
-        """Set the plant's state."""
+    name: str
+    state: Vector
 
     @property
     def contacts(self) -> Sequence[Contact]:
@@ -102,11 +93,8 @@ class Physics(Protocol):
         """
 
 
-class PhysicsMaker(Protocol):
-    """What makes the physics of a run."""
-
-    def __call__(self, world: World, vehicle: Vehicle, array: SonarArray, /) -> Physics:
-        """Return the physics of a world with a vehicle and its sonars."""
+PhysicsMaker: TypeAlias = Callable[[World, Vehicle, SonarArray], Physics]
+"""What makes the physics of a world with a vehicle and its sonars."""
 
 
 class OwnPhysics:

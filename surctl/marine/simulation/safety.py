@@ -32,7 +32,6 @@ from surctl.marine.guidance.braking import (
 from surctl.marine.sensing import INCIDENCE_LIMIT
 from surctl.marine.simulation.echo_fit import unanswered
 from surctl.marine.simulation.scenario import Scenario
-from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.simulation.world import BAND, FOOTPRINT
 from surctl.marine.vehicle import Vehicle, steady_speed
 from surctl.marine.vehicle.dynamics import check_equation_3
@@ -261,15 +260,6 @@ class SafetyClaim:
     def to_dict(self) -> dict[str, Any]:
         """Return the claim as plain data for JSON; the writer converts numbers that are not finite."""
         return asdict(self)
-
-    def to_toml(self) -> str:
-        """Return the claim as the text of a TOML file; an unbounded number is written as the text "inf"."""
-
-        def rows(figures: tuple[Figure, ...]) -> list[dict[str, Any]]:
-            return [{**asdict(f), "value": f.value if isfinite(f.value) else str(f.value)} for f in figures]
-
-        table = {**self.to_dict(), "assumptions": rows(self.assumptions), "derived": rows(self.derived)}
-        return toml_text({"kind": "safety claim", **table})
 
     def lines(self) -> list[str]:
         """Return the claim as lines of text."""

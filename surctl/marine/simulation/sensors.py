@@ -153,11 +153,6 @@ class Sensors:
             return self.echoes or "ideal"
         return next((name for name in ECHOES if _simple(name) == (True, limit)), f"within {degrees(limit):.4g} deg")
 
-    @property
-    def may_fail(self) -> bool:
-        """Whether a sonar can fail in this scenario."""
-        return bool(self.faults) or any(self.chances.numbers)
-
 
 _SONAR = {
     "mounts_m": "mounts",

@@ -14,8 +14,6 @@ import math
 from functools import cache
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from surctl.ir import Call, Gather, Loop, Program, Routine, Step, lower
 from surctl.priority.solver.dual_step import SKIPPED, Space, close, halve, iteration, misses, pricing, threshold, which
@@ -33,13 +31,6 @@ def most_iterations(space: Space) -> int:
 def lanes_of(rows: int, precision: Precision = FLOAT64) -> int:
     """Return the number of rows in a block: the largest of 4, 2, 1 that divides `rows` and is ≤ `precision.lanes`."""
     return math.gcd(rows, precision.lanes)
-
-
-def in_blocks(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Reorder constraint rows (…, rows, width) to blocks (…, rows·width) as the routines for double take them."""
-    *batch, count, width = rows.shape
-    lanes = lanes_of(count)
-    return np.swapaxes(rows.reshape(*batch, count // lanes, lanes, width), -1, -2).reshape(*batch, count * width)
 
 
 @cache

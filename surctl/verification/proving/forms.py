@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -11,22 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from surctl.certcheck.arrays import Ends
+from surctl.certcheck.derivative import branched, branches_of
 from surctl.sos.polynomial import Monomial, Polynomial
 from surctl.verification.claim import Claim
-from surctl.verification.formula import (
-    BRANCHING,
-    Node,
-    Statement,
-    from_casadi,
-    number,
-    ordered,
-    power,
-    rebuilt,
-    reread,
-)
+from surctl.verification.formula import Node, Statement, from_casadi, number, ordered, power, reread, substitute
 from surctl.verification.proving.algebra import Algebra, Ratio, TooLarge, Written
-from surctl.verification.proving.intervals import Ends
-from surctl.verification.proving.tape import build_tape
+from surctl.verification.proving.tape import build_tape, nodes_of, table_of
 from surctl.verification.proving.touching import touching_form
 
 # Claims as exact expressions, split into cases: in a case, every min, max, abs and select takes one branch
@@ -74,70 +65,22 @@ def substituted(statement: Statement) -> tuple[Node, ...]:
     """Return left, right and constraints; a variable with equal bounds is replaced by its decimal value."""
     ends = zip(statement.names, statement.lower, statement.upper, strict=True)
     fixed = {name: number(Fraction(repr(float(low)))) for name, low, high in ends if low == high}
-
-    if not fixed:
-        return statement.parts
-
-    def change(node: Node, args: tuple[Node, ...]) -> Node:
-        if node.op == "var":
-            return fixed.get(node.name, node)
-        unchanged = all(a is b for a, b in zip(args, node.args, strict=True))
-        return node if unchanged else Node(node.op, args, node.value, node.name)
-
-    return tuple(rebuilt(part, change) for part in statement.parts)
+    return tuple(substitute(part, fixed) for part in statement.parts) if fixed else statement.parts
 
 
 def cases_of(parts: Sequence[Node]) -> list[Case]:
     """Return one case for each choice of branches; if there are too many branches, a single case without choices."""
-    branches = _branches(parts)
-    left, right, *constraints = parts
+    table, roots = table_of(sorted({node.name for node in ordered(*parts) if node.op == "var"}), parts)
+    branches = branches_of(table, roots)
     if not 0 < len(branches) <= MOST_BRANCHES:
-        return [Case("", left - right, tuple(constraints))]
-    cases = []
-    for bits in range(2 ** len(branches)):
-        choice = format(bits, f"0{len(branches)}b")
-        chosen, conditions = _chosen(parts, dict(zip(branches, choice, strict=True)))
-        cases.append(Case(choice, chosen[0] - chosen[1], (*chosen[2:], *conditions)))
-    return cases
-
-
-def _branches(parts: Iterable[Node]) -> list[Node]:
-    met: dict[Node, None] = {}
-    if not any(node.op in BRANCHING for node in ordered(*parts)):
-        return []
-    visited: set[Node] = set()
-    stack = list(reversed(list(parts)))
-    while stack:
-        node = stack.pop()
-        if node in visited:
-            continue
-        visited.add(node)
-        if node.op in BRANCHING:
-            met[node] = None
-        stack.extend(reversed(node.args))
-    return list(met)
-
-
-def _chosen(parts: Sequence[Node], choice: dict[Node, str]) -> tuple[list[Node], list[Node]]:
-    """Return the parts with the chosen branches, and the conditions (expressions ≤ 0) under which the choice holds."""
-    conditions: dict[Node, Node] = {}
-
-    def change(node: Node, args: tuple[Node, ...]) -> Node:
-        if node not in choice:
-            return node if not args else Node(node.op, args, node.value, node.name)
-        second = choice[node] == "1"
-        if node.op == "abs":
-            conditions[node] = args[0] if second else -args[0]
-            return -args[0] if second else args[0]
-        if node.op == "select":
-            conditions[node] = args[1] - args[0] if second else args[0] - args[1]
-            return args[3] if second else args[2]
-        smaller_first = node.op == "min"
-        conditions[node] = args[0] - args[1] if second != smaller_first else args[1] - args[0]
-        return args[1] if second else args[0]
-
-    chosen = [rebuilt(part, change) for part in parts]
-    return chosen, [conditions[node] for node in choice]
+        return [Case("", parts[0] - parts[1], tuple(parts[2:]))]
+    choices = [format(bits, f"0{len(branches)}b") for bits in range(2 ** len(branches))]
+    split = [branched(table, roots, dict(zip(branches, choice, strict=True))) for choice in choices]
+    nodes = nodes_of(table)
+    return [
+        Case(choice, nodes[left] - nodes[right], tuple(nodes[k] for k in (*rows, *conditions)))
+        for choice, ((left, right, *rows), conditions) in zip(choices, split, strict=True)
+    ]
 
 
 _STEPS, _TRIALS = 4, 12

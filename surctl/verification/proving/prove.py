@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck import check_document, seal
+from surctl.certcheck.rules import DIMENSIONS, Rules
 from surctl.errors import InputError
 from surctl.verification.claim import Claim
 from surctl.verification.formula import FUNCTIONS, Statement, ordered, text_of
@@ -24,7 +25,7 @@ from surctl.verification.proving.forms import (
     statement_of,
     substituted,
 )
-from surctl.verification.proving.search import DIMENSIONS, BoxTask, SearchResult, corners, search
+from surctl.verification.proving.search import BoxTask, SearchResult, corners, search
 from surctl.verification.proving.squares import prove_by_squares
 from surctl.verification.proving.tape import Tape, build_tape
 from surctl.verification.proving.touching import excluded, touches
@@ -179,7 +180,7 @@ def prove_by_boxes(statement: Statement, *, time_limit: float) -> Cases:
     case = Case("", left - right, tuple(rows))
     bound, limits, written = (build_tape(statement.names, p) for p in ([case.margin], rows, [left, right, *rows]))
     with np.errstate(all="ignore"):  # ranges that are not known yet
-        result = search(BoxTask(bound, limits, written, box, 0.0), deadline=time.process_time() + time_limit)
+        result = search(BoxTask(Rules(bound, limits, 0.0), written, box), deadline=time.process_time() + time_limit)
     shown = _Shown(as_written(case), result, 0.0)
     if not result.closed:
         return _left_open(statement, written, case, shown, result.boxes)
@@ -275,17 +276,18 @@ class _Attempt:
             volumes = []
             for k, form in enumerate(usable):
                 bound = build_tape(names, [form.numerator, *form.denominators])
-                task = BoxTask(bound, self.constraints, self.written, self.box, part * self.slack)
+                rules = Rules(bound, self.constraints, part * self.slack)
+                task = BoxTask(rules, self.written, self.box)
                 rest = max(seconds - (time.process_time() - began), 0.0)
                 # the last round divides the remaining time among the forms
                 share = rest / (len(usable) - k if most == rounds[-1][0] else 8 if number == 0 else max(len(usable), 4))
                 result = search(task, deadline=time.process_time() + share, most=most, progress=report)
                 looked += result.boxes
                 if result.closed:
-                    return _Shown(form, result, task.slack)
+                    return _Shown(form, result, rules.slack)
                 volumes.append(_volume(result))
                 if best is None or volumes[-1] <= _volume(best[1]):
-                    best = form, result, task.slack
+                    best = form, result, rules.slack
             # the next round begins with the form that left least
             usable = [usable[k] for k in sorted(range(len(usable)), key=lambda k: volumes[k])]
         assert best is not None  # the form as written is always usable
@@ -310,7 +312,7 @@ class _Attempt:
         return self._whole_box(self.constraints)
 
     def _whole_box(self, bound: Tape) -> _Shown:
-        task = BoxTask(bound, self.constraints, self.written, self.box, 0.0)
+        task = BoxTask(Rules(bound, self.constraints, 0.0), self.written, self.box)
         return _Shown(self.plain, search(task, deadline=np.inf, most=1), 0.0)
 
     def _leaf(self, tree: str, looked: int) -> SearchResult:

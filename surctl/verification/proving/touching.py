@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.certcheck.arrays import Ends
 from surctl.sos.polynomial import Monomial, Polynomial
 from surctl.verification.formula import Node, exact_values, number, ordered, parse, power, rebuilt, substitute, variable
 from surctl.verification.proving.algebra import Algebra, Ratio, TooLarge, Written
-from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.tape import build_tape
 
 # Polynomial inequalities between a function of one argument and its argument, for proofs by sums of squares.

@@ -17,8 +17,9 @@ from surctl.priority import safe_step
 from surctl.priority.solver.dual_step import OPTIMAL, STUCK, Space
 from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 from surctl.priority.solver.fallback import CLAMPED, LIMITED, MET, RELAXED, UNCONFIRMED
-from surctl.priority.solver.kernel import in_blocks, most_iterations, search
+from surctl.priority.solver.kernel import most_iterations, search
 from tests.oracles.distance_trials import FAMILIES, Trials, draw_trials, judge
+from tests.priority.blocks import in_blocks
 from tests.tools import need_compiler
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ import pytest
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import Case, findings
-from surctl.marine.simulation.batch.pack import structure_of
+from surctl.marine.simulation.batch.engines import structure_of
 from surctl.marine.simulation.campaign.worlds import RandomWorlds, random_world, world_template
 from surctl.marine.simulation.scenario import scenario_table
 from surctl.marine.simulation.world import build_world

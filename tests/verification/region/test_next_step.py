@@ -11,11 +11,11 @@ from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification.region import (
     REGION_CLAIMS,
     RegionProof,
+    RegionStatement,
     TurningClaim,
     library,
     prove_statement,
     region_statement,
-    turning_claim,
 )
 from surctl.marine.verification.region.library import implies
 
@@ -25,7 +25,9 @@ HARDER = ("mass_asymmetry", "drag_asymmetry", "yaw_rate", "rate", "current", "cu
 
 
 def claimed(**changes: Any) -> TurningClaim:
-    return replace(turning_claim("test", ROV, GAINS, cruise=0.17, cap=0.24, rate=0.02), **changes)
+    claim = RegionStatement(name="test", loop="turning", rate_per_s=0.02).claim(ROV, GAINS, cruise=0.17, cap=0.24)
+    assert isinstance(claim, TurningClaim)
+    return replace(claim, **changes)
 
 
 @pytest.mark.parametrize("seed", range(20))

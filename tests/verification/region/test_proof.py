@@ -19,15 +19,16 @@ from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification.region import (
     REGION_CLAIMS,
     RegionProof,
+    RegionStatement,
     SteeringClaim,
     TurningClaim,
     prove_steering,
     prove_turning,
     refused_regions,
     region_statement,
-    turning_claim,
 )
-from surctl.marine.verification.region.rates import cruise_loop, level_ratios
+from surctl.marine.verification.region.nominal import uncertain_cruise
+from surctl.marine.verification.region.rates import level_ratios
 from surctl.marine.verification.region.turning_loop import selected, steady_turning, vertices
 from surctl.marine.verification.region.turning_shells import excess_of, worst_rate
 from surctl.verification.conic import minimise, symmetric_basis
@@ -42,6 +43,12 @@ def claimed(**changes: Any) -> TurningClaim:
     claim = REGION_CLAIMS["region-cruise-20"].claim(load_vehicle("sur540-flooded"), load_gains("default"))
     assert isinstance(claim, TurningClaim)
     return replace(claim, **changes)
+
+
+def turning(vehicle: str = "sur540-flooded", **stated: Any) -> TurningClaim:
+    claim = RegionStatement(name="test", loop="turning", **stated).claim(load_vehicle(vehicle), load_gains("default"))
+    assert isinstance(claim, TurningClaim)
+    return claim
 
 
 @pytest.fixture(scope="module")
@@ -143,12 +150,9 @@ def test_the_library_builds_what_it_says(name: str) -> None:
     assert {k: v for k, v in stated.items() if k != "sha256_law"} == {k: v for k, v in own.items() if k != "sha256_law"}
 
 
-def test_the_ratio_to_the_falsifier_is_that_of_a_loop_with_a_known_level() -> None:
-    def loop(xi: np.ndarray, draws: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return -xi * (1 - xi**2 / 9), np.abs(xi).max(axis=1) / 2  # V̇ < 0 on |x| < 3, thrust binds at |x| = 2
-
-    told = level_ratios(loop, np.eye(2), 1e-9)
-    assert np.isclose(told.falsifier, 1 / 9, rtol=0.1) and np.isclose(told.thrust, 1 / 4, rtol=0.1)
+def test_the_ratios_of_a_region_are_those_of_a_long_random_search() -> None:
+    told = level_ratios(json.loads((KEPT / "region-cruise-20.json").read_text()))
+    assert told.falsifier >= 0.40 and told.thrust >= 11.88 and "1195% of the level at which" in told.sentence
 
 
 @pytest.mark.parametrize("name", ["region-cruise-20", "region-cruise-20-sampled", "region-cruise-20-spin"])
@@ -197,15 +201,23 @@ def test_simulated_motions_from_the_edge_stay_below_the_envelope(name: str) -> N
 
 
 def test_the_loop_of_the_falsifier_is_that_of_the_certificate() -> None:
-    claim, slopes, draws = claimed(), (0.002, 0.007), np.full((1, 10), 0.5)
-    xi = np.array([[0.1, -0.2, 0.02, 0.03]])
-    rate, share = cruise_loop(claim, slopes)(xi, draws)
-    nominal = {key: np.ones((1, 2)) for key in ("mass", "linear", "quadratic")}
-    nominal |= {"term_mass": np.ones(1), "term": np.ones(1)}
-    state, psi = xi + np.array([0, 0, claim.cruise, 0]), np.array([np.pi])
-    assert rate == pytest.approx(true_rate(claim.stated, nominal, state, psi, np.zeros(1)))
-    strong = replace(claim.stated, thrust=(Fraction(10**6),) * 2)
-    assert share == pytest.approx(np.abs(commanded(strong, state, psi)).max() / claim.thrust[0])
+    whole = json.loads((KEPT / "region-cruise-20.json").read_text())
+    claim, slopes, n, rng = read_claim(whole["claim"]), whole["proof"]["trim"], 50, np.random.default_rng(0)
+    d, _, loads = uncertain_cruise(whole)
+    xi = rng.uniform(*d.box[:, :, None], (4, n))
+    w = dict(zip([one.name for one in d.parameters], rng.uniform(*d.ranges[:, :, None], (6, n)), strict=True))
+    boat = {"mass": np.tile(w["mass"], (2, 1)).T, "term_mass": np.ones(n), "term": np.ones(n)}
+    for name in ("linear", "quadratic"):
+        both = w[name], np.clip(w[name] * w[f"{name}_ratio"], *map(float, claim.drag_factor))
+        boat[name] = np.stack(both, axis=1)
+    omega = sum(s * (boat[k].mean(axis=1) - 1) for s, k in zip(slopes, ("linear", "quadratic"), strict=True))
+    state, psi = xi.T + np.array([0, 0, float(claim.cruise), 0]), w["heading"]
+    state[:, 0] -= omega / float(claim.k1)
+    numbers = np.stack(list(w.values()))
+    assert d.evaluate(xi, numbers) == pytest.approx(true_rate(claim, boat, state, psi, np.zeros(n)).T)
+    strong = replace(claim, thrust=(Fraction(10**6),) * 2)
+    shares = np.abs(commanded(strong, state, psi)).T / np.array([[float(x)] for x in claim.thrust])
+    assert np.asarray(d.compiled(*loads)(xi, numbers)) == pytest.approx(shares)
 
 
 def test_the_conic_solver_finds_the_largest_eigenvalue() -> None:
@@ -227,7 +239,7 @@ def test_a_certificate_of_these_numbers_is_not_one_of_others() -> None:
 
 
 def test_all_vertices_of_a_turning_cruise_are_judged_at_once() -> None:
-    claim = turning_claim("test", load_vehicle("sur540-flooded"), load_gains("default"), rate=0.02)
+    claim = turning(rate_per_s=0.02)
     P = np.diag([50.0, 12.0, 250.0, 160.0])
     P[0, 2] = P[2, 0] = 40.0
     found = vertices(claim, steady_turning(claim, cells=4), np.linalg.inv(P), 1.0)
@@ -263,9 +275,7 @@ def test_all_vertices_of_a_turning_cruise_are_judged_at_once() -> None:
 
 
 def test_unequal_masses_are_proved_and_a_weak_yaw_thrust_is_not() -> None:
-    claim = turning_claim(
-        "test", load_vehicle("bluerov2-wu"), load_gains("default"), share=0.0, mass_share=0.0, rate=0.02, rest=True
-    )
+    claim = turning("bluerov2-wu", share=0.0, mass_share=0.0, rate_per_s=0.02, at_rest=True)
     proof = prove_turning(claim, attempts=2)
     assert proof.verdict == "proved", proof.reason
     assert proof.offset > 0.25 and proof.rest_offset is not None and proof.rest_offset > 0.2
@@ -275,7 +285,7 @@ def test_unequal_masses_are_proved_and_a_weak_yaw_thrust_is_not() -> None:
     assert weak.verdict == "unknown" and "Munk moment" in weak.reason
     assert weak.sentence.startswith("unknown: not provable for this vehicle")
     with pytest.raises(InputError, match="k_i"):
-        turning_claim("test", load_vehicle("bluerov2-wu"), load_gains("default").with_values({"k_i": 0.1}))
+        turning("bluerov2-wu", gains={"k_i": 0.1})
     with pytest.raises(InputError, match="cap"):
         replace(claim, cruise=0.3)
 

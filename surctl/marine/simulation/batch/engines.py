@@ -1,12 +1,15 @@
-"""Simulate many runs in compiled C, or in CasADi's machine without a compiler; the C text of a loop in the cache."""
+"""Many runs of a case: packed as state and parameter vectors, then simulated in compiled C or in CasADi's machine.
+
+The C text of a loop is in the cache on disk.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,15 +19,261 @@ from surctl.ir import Batch, to_casadi, without_libm
 from surctl.ir.batch import batch_source, compile_batch_source
 from surctl.ir.cache import cached_bytes, source_digest
 from surctl.ir.folding import fused
+from surctl.marine.allocation import working_flags
+from surctl.marine.control import WORKING, law_options
 from surctl.marine.control.build import LAW_SOURCES
-from surctl.marine.simulation.batch.case import Case, check_values
-from surctl.marine.simulation.batch.counting import metrics_table
-from surctl.marine.simulation.batch.loop import build_loop
-from surctl.marine.simulation.batch.pack import pack, structure_of
-from surctl.marine.simulation.batch.structure import Structure
-from surctl.marine.simulation.metrics import METRICS
+from surctl.marine.guidance import Path
+from surctl.marine.sensing import FaultChances
+from surctl.marine.sensing.sonar.faults import fault_slots
+from surctl.marine.sensing.sonar.returns import echo_keys, echo_number
+from surctl.marine.simulation.batch.case import Case, case_parameters, check_values
+from surctl.marine.simulation.batch.loop import Loop, build_loop
+from surctl.marine.simulation.batch.structure import BodyKind, Structure
+from surctl.marine.simulation.metrics import METRICS, metrics_table
+from surctl.marine.simulation.numbers import VISITED, law_numbers
+from surctl.marine.simulation.scenario import check_spacing
+from surctl.marine.simulation.world import WorldDraw, draw_world
+from surctl.marine.vehicle import Vehicle, plant_layout, plant_state
+from surctl.noise import noise_states
 from surctl.own_code import is_own
 from surctl.system.runs import Engine, final_states
+
+Columns = NDArray[np.float64]
+
+NO_END = 1e6  # [m] height of an end beyond the floor or the surface
+_LEAST = 16  # waypoints: paths of similar length use the same compiled loop
+
+_VECTORS = {
+    "mass": ("m11", "m22", "m33", "m44"),
+    "linear_drag": ("Xu", "Yv", "Zw", "Nr"),
+    "quadratic_drag": ("Xuu", "Yvv", "Zww", "Nrr"),
+    "thrust_limit": ("Fu_max", "Fv_max", "Fw_max", "Fr_max"),
+}
+"""Vectors of both plant and model, with the vehicle parameters that they contain."""
+
+_BODY = {
+    "box": ("size_x", "size_y"),
+    "disc": ("radius",),
+    "drifting box": ("size_x", "size_y"),
+    "drifting disc": ("radius",),
+    "mover": ("radius", "to_x", "to_y", "speed"),
+}
+"""Parameters of each kind of obstacle besides its centre and its drift."""
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """The initial states (n, …) and parameters (n, …) of n runs, and the upper limit of their control periods."""
+
+    state: Columns
+    parameters: Columns
+    steps: int
+
+
+def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
+    """Return the loop structure to compile; it lets an obstacle drift if the drift amplitude is positive in any run."""
+    kinds = []
+    for obstacle in case.scenario.obstacles:
+        moved = values.get(f"obstacle.{obstacle.name}.drift", np.asarray(obstacle.drift_m))
+        shape = "drifting " * bool(np.any(moved > 0)) + ("box" if obstacle.shape == "box" else "disc")
+        kinds.append(cast("BodyKind", "mover" if obstacle.shape == "moving" else shape))
+    optional = any(f"obstacle.{obstacle.name}.there" in values for obstacle in case.scenario.obstacles)
+    sensors, sonars = case.scenario.sensors, dict[str, Any]()
+    if case.sensing == "sonar":
+        struck = any(np.any(values.get(f"sonar.{kind}", chance) > 0) for kind, chance in _chances(case))
+        late = any(fault.kind == "delay" for fault in sensors.faults)
+        sonars = {"equipment": sensors.on(case.vehicle["radius"]), "faults": len(sensors.faults), "chances": struck}
+        sonars |= {"delays": late, "surfaces": case.scenario.surfaces}
+    return Structure(
+        law=case.law, sensing=case.sensing, bodies=tuple(kinds), optional=optional,
+        heights=any(not obstacle.heights.whole for obstacle in case.scenario.obstacles),
+        depths=case.scenario.depths is not None, form=case.vehicle.form, actuators=case.vehicle.actuators,
+        points=_capacity(case.scenario.path), rises=case.scenario.path.rises is not None,
+        **law_options(case), **sonars,
+    )  # fmt: skip
+
+
+def _capacity(path: Path) -> int:
+    # number of waypoints in the parameters of a run: a power of two if the path is fed, else 0
+    return max(_LEAST, 1 << (len(path.waypoints) - 1).bit_length()) if path.fed else 0
+
+
+def _chances(case: Case) -> list[tuple[str, float]]:
+    chances = case.scenario.sensors.chances
+    return list(zip(chances.kinds(), chances.numbers, strict=True))
+
+
+def pack(case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[np.int64]) -> Packed:
+    """Return the initial states and the parameters of every run, for checked values (n,) by name and seeds (n,).
+
+    `loop` is the loop of the structure that `structure_of(case, values)` returns.
+    """
+    filler = _Filler(case, loop, values, seeds)
+    return Packed(filler.states(), filler.parameters(), filler.steps)
+
+
+class _Filler:
+    def __init__(self, case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[np.int64]) -> None:
+        self.case, self.loop, self.values, self.seeds = case, loop, values, seeds
+        self.known = case_parameters(case)
+        limit = np.asarray(self.number("scenario.time_limit"))
+        self.step_limits = np.ceil(limit / loop.law.dt)
+        self.steps = int(np.max(self.step_limits))
+
+    def number(self, name: str) -> Columns:
+        # (n,) if the runs differ in the parameter, otherwise a scalar
+        return np.asarray(self.values.get(name, self.known[name].value), dtype=float)
+
+    def actual(self, name: str) -> Columns:
+        # of the simulated vehicle
+        if f"plant.{name}" in self.values:
+            return self.values[f"plant.{name}"]
+        return self.number(f"vehicle.{name}")
+
+    def believed(self, name: str) -> Columns:
+        # in the controller's model
+        model = self.case.model or self.case.vehicle
+        return np.asarray(self.values.get(f"vehicle.{name}", model[name]), dtype=float)
+
+    def states(self) -> Columns:
+        layout, case = self.loop.state, self.case
+        first = layout.pack(
+            {
+                "plant": plant_state(case.vehicle.form).pack({"eta": case.scenario.start_pose}),
+                **({"law": self.loop.law.initial_state()} if "law" in layout else {}),
+            }
+        )
+        out = np.tile(first, (len(self.seeds), 1))
+        out[:, layout.slice("plant").start + 2] = self.number("scenario.depth")
+        if "noise" in layout:
+            out[:, layout.slice("noise")] = noise_states(self.seeds)
+        return out
+
+    def parameters(self) -> Columns:
+        layout = self.loop.parameters
+        out = np.empty((len(self.seeds), layout.size))
+        self._law(out[:, : self.loop.law.gains.size])
+        if self.loop.structure.points:
+            scenario = self.case.scenario
+            check_spacing(scenario, cap=float(np.max(self.number("scenario.cap"))))
+            table = scenario.path.table(visits=scenario.corners == "visit")
+            rows = np.minimum(np.arange(self.loop.structure.points), len(table) - 1)  # the last one fills the rest
+            out[:, layout.slice("mission")] = table[rows].ravel()
+        for name, columns in self._world().items():
+            here = layout.slice(name)
+            for k, column in enumerate(columns):
+                out[:, here.start + k] = column
+        return out
+
+    def _law(self, out: Columns) -> None:
+        case, layout = self.case, self.loop.law.gains
+        model = case.model or case.vehicle
+        out[:] = law_numbers(case.scenario, case.gains, model)
+        for name in case.gains.specs:
+            out[:, layout.slice(name).start] = self.number(name)
+        for name in ("depth", "cruise", "cap"):
+            out[:, layout.slice(name).start] = self.number(f"scenario.{name}")
+        if case.scenario.visit is not None:
+            out[:, layout.slice("visit").start] = VISITED * self.number("scenario.arrival_radius")
+        for vector, members in _VECTORS.items():
+            for k, member in enumerate(members):
+                column, reverse = self.believed(member), member.replace("_max", "_reverse")
+                if vector == "thrust_limit" and reverse in model.parameters:
+                    column = np.minimum(column, self.believed(reverse))  # as in Vehicle.thrust_limit
+                if vector == "linear_drag":
+                    for name in [name for axis, name in model.form.ahead() if axis == k]:
+                        column = column + self.believed(name) * self.number("scenario.cruise")  # as Vehicle.drag_at
+                if member == "Fr_max":
+                    column = column * self._grown(model)
+                out[:, layout.slice(vector).start + k] = column
+        out[:, layout.slice("hull").start] = self.believed("radius")
+        if "ahead_limit" in layout:
+            out[:, layout.slice("ahead_limit").start] = self.believed("Fu_max")  # as in Vehicle.ahead_limit
+
+    def _grown(self, vehicle: Vehicle) -> Columns:
+        # yaw moment at the cruise speed over that of the vehicle file, as in Vehicle.at_speed
+        if vehicle.actuators is None or not vehicle.actuators.fins:
+            return np.ones(())
+        speeds, back = np.unique(self.number("scenario.cruise"), return_inverse=True)
+        return np.array([vehicle.at_speed(u)["Fr_max"] / vehicle["Fr_max"] for u in speeds.tolist()])[back]
+
+    def _world(self) -> dict[str, Sequence[ArrayLike]]:
+        # the numbers of each entry that the law's parameters do not have: each is (n,), or a number if all runs agree
+        scenario, structure, draws, number = self.case.scenario, self.loop.structure, self._draws(), self.number
+        plant: dict[str, list[ArrayLike]] = {v: [self.actual(m) for m in members] for v, members in _VECTORS.items()}
+        most = self.case.vehicle.delivered_limit
+        for axis in np.flatnonzero(most > self.case.vehicle.thrust_range[1]).tolist():  # fins act on it
+            plant["thrust_limit"][axis] = most[axis]
+        plant["thrust_lag"] = [self.actual("thrust_lag")]
+        plant["terms"] = [self.actual(name) for name in structure.form.terms]
+        leg = scenario.target - scenario.path.waypoints[-2]
+        grown: list[Columns | float] = [1.0, 1.0, 1.0, self._grown(self.case.vehicle)]
+        arrival, bias = number("scenario.arrival_radius"), number("scenario.thrust_bias")
+        columns: dict[str, Sequence[ArrayLike]] = {
+            "plant": [column for port in plant_layout(structure.form) for column in plant[port.name]],
+            "world_hull": [self.actual("radius")],
+            "arrival_radius": [arrival],
+            "legs": [len(scenario.path.waypoints) - 1],
+            "visited": [0.0 if scenario.visit is None else arrival],
+            "steps": [self.step_limits],
+            "leg": list(leg / np.linalg.norm(leg)),
+            "current": [number("scenario.current_x"), number("scenario.current_y")],
+            "wave": self._swing("scenario.wave", draws.wave_direction, draws.wave_phase, amplitude="_force"),
+            "drift": self._swing("scenario.drift", draws.slow_direction, draws.slow_phase, amplitude="_force"),
+            "thrust_gain": [1 + number("scenario.thrust_error") * draws.gain_error[:, k] for k in range(4)],
+            "thrust_bias": [
+                bias * draws.bias[:, k] * self.actual(name) * grown[k]
+                for k, name in enumerate(_VECTORS["thrust_limit"])
+            ],
+        }
+        if structure.may_fail:
+            columns["fault_chances"] = [number(f"sonar.{kind}") for kind in FaultChances.kinds()]
+        if structure.draws_echoes:
+            columns["echo_key"] = list(echo_keys(self.seeds).T)
+            columns["echo_numbers"] = [float(echo_number(o.name)) for o in scenario.obstacles]
+        if structure.faults:
+            slots = fault_slots(structure.equipment.array, scenario.sensors.faults, structure.faults)
+            columns["fault_slots"] = slots.ravel().tolist()
+        if self.case.vehicle.actuators is not None and WORKING in self.loop.parameters:
+            columns[WORKING] = working_flags(self.case.vehicle.actuators, self.case.failed).tolist()
+        if structure.optional:
+            columns["there"] = [number(f"obstacle.{o.name}.there") for o in scenario.obstacles]
+        if structure.heights:
+            ends = [(o.heights.bottom, o.heights.top) for o in scenario.obstacles]
+            columns["heights"] = np.clip(np.ravel(ends), -NO_END, NO_END).tolist()
+        if structure.points:
+            columns["alignment"] = [0.0] * self.loop.parameters.port("alignment").size
+        if structure.depths:
+            columns["depths"] = scenario.depths or ()
+        return columns | {f"body{k}": self._body(k, draws) for k in range(len(structure.bodies))}
+
+    def _body(self, k: int, draws: WorldDraw) -> list[ArrayLike]:
+        # the numbers of obstacle k that `body_at` needs
+        obstacle, kind = self.case.scenario.obstacles[k], self.loop.structure.bodies[k]
+        name = f"obstacle.{obstacle.name}"
+        x, y, *others = (self.number(f"{name}.{end}") for end in ("x", "y", *_BODY[kind]))
+        if kind != "mover":
+            drift = self._swing(f"{name}.drift", draws.drift_direction[:, k], draws.drift_phase[:, k])
+            return [x, y, *others, *(drift if kind.startswith("drifting") else ())]
+        radius, to_x, to_y, speed = others
+        if obstacle.radius_m is None and f"{name}.radius" not in self.values:
+            radius = self.actual("radius")
+        displacement = np.stack(np.broadcast_arrays(to_x - x, to_y - y))
+        distance = np.hypot(*displacement)
+        unit = displacement / np.where(distance > 0, distance, 1.0)
+        return [x, y, radius, *unit, distance, speed, float(not obstacle.removed)]
+
+    def _swing(self, name: str, direction: Columns, phase: ArrayLike, *, amplitude: str = "") -> list[ArrayLike]:
+        # of a sinusoidal motion or force: amplitude along x and y of {E}, rate [rad/s], phase [rad]
+        size, rate = self.number(f"{name}{amplitude}"), 2 * np.pi / self.number(f"{name}_period")
+        return [size * direction[:, 0], size * direction[:, 1], rate, phase]
+
+    def _draws(self) -> WorldDraw:
+        unique, back = np.unique(self.seeds, return_inverse=True)
+        draws = [vars(draw_world(len(self.case.scenario.obstacles), seed=int(seed))) for seed in unique]
+        parts: dict[str, Any] = {name: np.array([draw[name] for draw in draws])[back] for name in draws[0]}
+        return WorldDraw(**parts)
+
 
 _FURTHER = (
     *(f"surctl.{name}" for name in ("files", "own_code", "units")),
@@ -66,9 +315,6 @@ def stored_loop(structure: Structure) -> StoredLoop:
 def _built(structure: Structure) -> StoredLoop:
     step = build_loop(structure).step
     return StoredLoop(step.digest(), batch_source(fused(without_libm(step))))
-
-
-Columns = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,10 +17,18 @@ from surctl.ir.elementary import nearby_angles
 from surctl.ir.folding import shared_divisors
 from surctl.marine.control import WORKING, Law, build_law, law_options
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, ROW, follow
-from surctl.marine.simulation.batch.counting import SUMS, counted, path_square, path_tangent
 from surctl.marine.simulation.batch.listening import Listening, flat, slots
-from surctl.marine.simulation.batch.structure import ABSENT, Body, Mission, Structure, body_size, driven
-from surctl.marine.simulation.metrics import STANDSTILL, STOPPED_LIMIT, STOPS
+from surctl.marine.simulation.batch.structure import Body, Mission, Structure, body_size, driven
+from surctl.marine.simulation.metrics import (
+    ABSENT,
+    COUNTED,
+    STANDSTILL,
+    STOPPED_LIMIT,
+    STOPS,
+    counted,
+    path_square,
+    path_tangent,
+)
 from surctl.marine.simulation.physics import advance
 from surctl.marine.simulation.sensors import FIRING
 from surctl.marine.simulation.world import LONGEST
@@ -145,7 +153,7 @@ def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
         Port("last_signs", (4,), "1", "sign of each thrust command when it was last above 1 % of its limit"),
         *((Mission.state(),) if structure.points else ()),
         *FOLLOWING,
-        *(Port(name, (1,), unit, meaning) for name, unit, meaning in SUMS),
+        *COUNTED,
     )
 
 

@@ -6,7 +6,7 @@ and the rows around the robot, so the time of a step does not depend on the numb
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
@@ -16,38 +16,24 @@ from numpy.typing import NDArray
 
 from surctl.ir import Call, Gather, Layout, Port, Program, Step, lower_named
 from surctl.marine.control import ARC_LENGTHS, CONTACT_SLOTS, Barrier, Law, Movers
-from surctl.marine.guidance import AHEAD, ROW, SKIPS, AvoidanceForm, Guidance, Path
+from surctl.marine.guidance import AHEAD, ROW, SKIPS, AvoidanceForm, Guidance
 from surctl.marine.guidance.following import follow_on, window_next, window_values
 from surctl.marine.sensing import Equipment, Surfaces
 from surctl.marine.sensing.sonar.solids import Solid, SolidBox, SolidDisc
-from surctl.marine.simulation.obstacle import Obstacle
+from surctl.marine.simulation.metrics import ABSENT
 from surctl.marine.simulation.run import Sensing
 from surctl.marine.simulation.thruster_faults import fin_excess
 from surctl.marine.simulation.world import BAND, FOOTPRINT, LONGEST
 from surctl.marine.vehicle import Actuators, PlantForm, plant_state
 from surctl.priority import Mode
 
-_LEAST = 16  # waypoints: paths of similar length use the same compiled loop
 _AROUND = SKIPS + 4  # rows around the robot: from the waypoint before its segment on
-
-
-def capacity_for(path: Path) -> int:
-    """Return the number of waypoints in the parameters of a run: a power of two if the path is fed, else 0."""
-    if not path.fed:
-        return 0
-    return max(_LEAST, 1 << (len(path.waypoints) - 1).bit_length())
-
-
-def mission_table(path: Path, capacity: int, *, visits: bool) -> NDArray[np.float64]:
-    """Return `Path.table` with `capacity` rows (capacity, 5); the last waypoint fills the remaining rows."""
-    table = path.table(visits=visits)
-    return table[np.minimum(np.arange(capacity), len(table) - 1)]
 
 
 class Mission:
     """The steps of a compiled loop that feed the law, and the expressions for the robot's progress.
 
-    `capacity` is the number of waypoints in the parameters, see `capacity_for`; `rises` says whether the path changes
+    `capacity` is the number of waypoints in the parameters; `rises` says whether the path changes
     its depth.
     """
 
@@ -149,9 +135,6 @@ class Mission:
 Columns: TypeAlias = NDArray[np.float64]
 BodyKind = Literal["box", "disc", "drifting box", "drifting disc", "mover"]
 
-ABSENT = 1e30  # [m] clearance of an absent obstacle
-NO_END = 1e6  # [m] height of an end beyond the floor or the surface
-
 
 @dataclass(frozen=True)
 class Body:
@@ -245,22 +228,13 @@ class Body:
         return SolidDisc(self.centre, self.size, present=self.present)
 
 
-def kind_of(obstacle: Obstacle, *, drifting: bool) -> BodyKind:
-    """Return the kind (shape and motion) of the obstacle; the kind cannot change after the loop is compiled."""
-    if obstacle.shape == "moving":
-        return "mover"
-    if obstacle.shape == "box":
-        return "drifting box" if drifting else "box"
-    return "drifting disc" if drifting else "disc"
-
-
 def body_size(kind: BodyKind) -> int:
     """Return the number of parameters that describe an obstacle of this kind."""
     return {"box": 4, "disc": 3, "drifting box": 8, "drifting disc": 7, "mover": 8}[kind]
 
 
 def body_at(kind: BodyKind, numbers: ca.SX, time: ca.SX) -> Body:
-    """Return the obstacle at a time [s], computed from the parameter values that `body_columns` returns."""
+    """Return the obstacle at a time [s], computed from its parameter values."""
     start = numbers[:2]
     if kind == "mover":
         direction, distance, speed, stays = numbers[3:5], numbers[5], numbers[6], numbers[7]
@@ -274,39 +248,6 @@ def body_at(kind: BodyKind, numbers: ca.SX, time: ca.SX) -> Body:
         return Body(start, size, ca.SX.zeros(2), ca.SX(1), moving=False)
     angle = drift[2] * time + drift[3]
     return Body(start + ca.sin(angle) * drift[:2], size, drift[2] * ca.cos(angle) * drift[:2], ca.SX(1), moving=False)
-
-
-def body_columns(
-    obstacle: Obstacle,
-    kind: BodyKind,
-    *,
-    number: Callable[[str], Columns],
-    values: Mapping[str, Columns],
-    hull: Columns,
-    direction: Columns,
-    phase: Columns,
-) -> list[Columns]:
-    """Return the obstacle parameters that `body_at` needs for n runs: one array (n,) per parameter, or a scalar.
-
-    Args:
-        number: function from the last part of a parameter's name to its values.
-        values: values of the changed parameters by full name, which show whether the radius was changed.
-        hull: (n,) hull radius [m]; a moving obstacle without a stated radius takes this radius.
-        direction, phase: (n, 2) unit vector along the obstacle's drift (a sinusoidal motion), and (n,) its phase [rad].
-    """
-    x, y = number("x"), number("y")
-    if kind == "mover":
-        own = obstacle.radius_m is not None or f"obstacle.{obstacle.name}.radius" in values
-        displacement = np.stack(np.broadcast_arrays(number("to_x") - x, number("to_y") - y))
-        distance = np.hypot(*displacement)
-        unit = displacement / np.where(distance > 0, distance, 1.0)
-        stays = np.asarray(float(not obstacle.removed))
-        return [x, y, number("radius") if own else hull, unit[0], unit[1], distance, number("speed"), stays]
-    size = [number("size_x"), number("size_y")] if kind.endswith("box") else [number("radius")]
-    if not kind.startswith("drifting"):
-        return [x, y, *size]
-    rate, amplitude = 2 * np.pi / number("drift_period"), number("drift")
-    return [x, y, *size, amplitude * direction[:, 0], amplitude * direction[:, 1], rate, phase]
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,8 @@ from surctl.files import Strict, file_name, prepare_folder, read_toml, validate,
 from surctl.marine.control import Barrier, Gains, Law, Movers, law_options, law_ref, law_source, load_gains
 from surctl.marine.guidance import AvoidanceForm, Guidance
 from surctl.marine.simulation.batch.case import Case
-from surctl.marine.simulation.batch.engines import simulate_batch, stored_loop
+from surctl.marine.simulation.batch.engines import simulate_batch, stored_loop, structure_of
 from surctl.marine.simulation.batch.loop import build_loop
-from surctl.marine.simulation.batch.pack import structure_of
 from surctl.marine.simulation.batch.structure import Structure
 from surctl.marine.simulation.campaign.summary import RunTable, Summary, assumptions, summarise
 from surctl.marine.simulation.campaign.worlds import Plan, SampledRun
@@ -42,7 +41,6 @@ from surctl.store import RESUME, ChunkStore
 
 T = TypeVar("T")
 
-_FIRST, _ALWAYS = "crab_angle_deg", "wasted_share"  # first of the metrics added later, and one that is always finite
 _FIGURES = tuple(name for name in METRICS if name not in ("reached", "collided", "stopped"))
 
 
@@ -129,20 +127,12 @@ class Replay:
         m = run.metrics
         if m.stopped_because != self.stopped_because:
             return inf
-        # a file of an earlier version has no metrics of attitude and thrust activity
-        names = _FIGURES if _ALWAYS in self.figures else _FIGURES[: _FIGURES.index(_FIRST)]
-        measured = {name: float(getattr(m, name)) for name in names}
+        measured = {name: float(getattr(m, name)) for name in _FIGURES}
         if {name for name, value in measured.items() if isfinite(value)} != set(self.figures):
             return inf
         return max(
             (abs(measured[name] - value) / max(1.0, abs(value)) for name, value in self.figures.items()), default=0.0
         )
-
-
-def _replay_of(run: SampledRun, row: Mapping[str, Any], *, campaign: str) -> Replay:
-    """Return the replay data of a run of a campaign, from the run and its results (`RunTable.row`)."""
-    figures = {name: row[name] for name in _FIGURES if isfinite(row[name])}
-    return Replay(run, row["stopped_because"], figures, campaign, tuple(row["broken_assumptions"]))
 
 
 def load_replay(path: Path | str, *, trust: bool = False) -> Replay:
@@ -199,9 +189,13 @@ class Campaign:
 
     def worst(self, count: int) -> list[Replay]:
         """Return the worst runs, the worst first, in a form that can be saved to files, see `RunTable.worst`."""
-        return [
-            _replay_of(self.plan.run(k), self.table.row(k), campaign=self.plan.name) for k in self.table.worst(count)
-        ]
+        return [self._replay(k) for k in self.table.worst(count)]
+
+    def _replay(self, k: int) -> Replay:
+        row = self.table.row(k)
+        figures = {name: row[name] for name in _FIGURES if isfinite(row[name])}
+        broken = tuple(row["broken_assumptions"])
+        return Replay(self.plan.run(k), row["stopped_because"], figures, self.plan.name, broken)
 
 
 def run_campaign(

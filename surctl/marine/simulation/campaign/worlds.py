@@ -5,7 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import hypot
+from functools import cache
+from math import dist
+from pathlib import Path as FilePath
 from types import MappingProxyType
 from typing import Any
 
@@ -13,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError
+from surctl.files import read_toml
 from surctl.marine.simulation.batch.case import Case
 from surctl.marine.simulation.fit import findings
 from surctl.marine.simulation.loop import simulate_case
@@ -76,17 +79,38 @@ class Plan(ABC):
         rows = [self._row(k) for k in range(first, first + count)]
         return {name: np.array([row[name] for row in rows]) for name in self.names}
 
-    @abstractmethod
-    def _row(self, k: int) -> Mapping[str, float]:
-        """Return the drawn values of run number k, by parameter name."""
-
-    @abstractmethod
     def run(self, k: int) -> SampledRun:
         """Return run number k as a single run, which can be simulated without compiled code."""
+        return SampledRun(replace(self.case, scenario=self.world(k)), self.first + k, self._plant(k))
 
-    @abstractmethod
     def settings(self) -> Mapping[str, object]:
         """Return the settings, besides the setup, that the runs depend on, as plain data."""
+        return {"first seed": self.first, "draws": self._draws}
+
+    @abstractmethod
+    def world(self, k: int) -> Scenario:
+        """Return the scenario of run number k."""
+
+    @property
+    @abstractmethod
+    def _draws(self) -> str:
+        """Return what the plan draws at random, in words."""
+
+    @property
+    @abstractmethod
+    def _draws_plant(self) -> bool:
+        """Return whether the parameters of the simulated vehicle are drawn, see `draw_plant`."""
+
+    @abstractmethod
+    def _obstacle_values(self, k: int) -> Mapping[str, float]:
+        """Return the drawn values of the obstacles of run number k, by parameter name."""
+
+    def _plant(self, k: int) -> dict[str, float]:
+        return draw_plant(self.case.vehicle, seed=self.first + k) if self._draws_plant else {}
+
+    def _row(self, k: int) -> dict[str, float]:
+        # the drawn values of a run, by parameter name
+        return {**{f"plant.{name}": value for name, value in self._plant(k).items()}, **self._obstacle_values(k)}
 
 
 def draw_plant(vehicle: Vehicle, *, seed: int) -> dict[str, float]:
@@ -119,19 +143,15 @@ class MonteCarlo(Plan):
                 remedy="lower it",
             ) from None
 
-    def run(self, k: int) -> SampledRun:
-        """Return run number k, see `Plan.run`."""
-        scenario = replace(self.case.scenario, obstacles=tuple(self._obstacles(k)))
-        return SampledRun(replace(self.case, scenario=scenario), self.first + k, self._plant(k))
+    _draws = "plant and obstacles"
 
-    def settings(self) -> Mapping[str, object]:
-        """Return the settings of the random draws, see `Plan.settings`."""
-        return {"first seed": self.first, "draws": "plant and obstacles"}
+    @property
+    def _draws_plant(self) -> bool:
+        return self.case.scenario.uncertainty.vehicle
 
-    def _plant(self, k: int) -> dict[str, float]:
-        if not self.case.scenario.uncertainty.vehicle:
-            return {}
-        return draw_plant(self.case.vehicle, seed=self.first + k)
+    def world(self, k: int) -> Scenario:
+        """Return the scenario of run number k."""
+        return replace(self.case.scenario, obstacles=tuple(self._obstacles(k)))
 
     def _obstacles(self, k: int) -> list[Obstacle]:
         # every obstacle uses two random numbers, whatever its shape
@@ -144,9 +164,12 @@ class MonteCarlo(Plan):
             for o, (size, speed) in zip(scenario.obstacles, shares, strict=True)
         ]
 
-    def _row(self, k: int) -> dict[str, float]:
-        row = {f"plant.{name}": value for name, value in self._plant(k).items()}
-        return row | _obstacle_values(self._obstacles(k))
+    def _obstacle_values(self, k: int) -> dict[str, float]:
+        values: dict[str, float] = {}
+        for o in self._obstacles(k):
+            speed = {} if o.speed_m_per_s is None else {"speed": o.speed_m_per_s}
+            values |= _named(o, _shape(o) | speed)
+        return values
 
 
 def _scaled(obstacle: Obstacle, vehicle: Vehicle, size: float, speed: float) -> Obstacle:
@@ -161,21 +184,16 @@ def _scaled(obstacle: Obstacle, vehicle: Vehicle, size: float, speed: float) -> 
     return obstacle.model_copy(update=changes)
 
 
-def _obstacle_values(obstacles: Sequence[Obstacle]) -> dict[str, float]:
-    """Return the sizes and speeds of the drawn obstacles by parameter name."""
-    values: dict[str, float] = {}
-    for o in obstacles:
-        if o.size_m is not None:
-            values |= {f"obstacle.{o.name}.size_x": o.size_m[0], f"obstacle.{o.name}.size_y": o.size_m[1]}
-        elif o.radius_m is not None:
-            values[f"obstacle.{o.name}.radius"] = o.radius_m
-        if o.speed_m_per_s is not None:
-            values[f"obstacle.{o.name}.speed"] = o.speed_m_per_s
-    return values
+def _shape(obstacle: Obstacle) -> dict[str, float]:
+    # empty if the radius is that of the hull
+    if obstacle.size_m is not None:
+        return {"size_x": obstacle.size_m[0], "size_y": obstacle.size_m[1]}
+    return {} if obstacle.radius_m is None else {"radius": obstacle.radius_m}
 
 
-LENGTH, WIDTH = 10.0, 5.0  # [m] size of the tank
-START, TARGET = (0.5, 2.5), (9.5, 2.5)
+def _named(obstacle: Obstacle, values: Mapping[str, float]) -> dict[str, float]:
+    return {f"obstacle.{obstacle.name}.{name}": value for name, value in values.items()}
+
 
 WORLDS_VEHICLE = "sur540-flooded"
 """Default vehicle in random worlds."""
@@ -213,53 +231,36 @@ def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
     rng = np.random.default_rng([seed, 5])
     count = int(rng.integers(1, 9))
     movers = (count + int(rng.integers(0, 2))) // 2
-    still = count - movers
+    name, site = f"world-{seed}", np.array([_tank()["site"][edge] for edge in ("length_m", "width_m")])
     for _ in range(_TRIES):
-        table = _world_table(f"world-{seed}", vehicle, _still(rng, still))
-        world = _feasible(table, vehicle)
-        if world is None:
-            continue
-        moving = _moving(rng, movers, world, vehicle)
-        if moving is None:
-            continue
-        table["obstacles"] = [*table["obstacles"], *moving]
-        world = _feasible(table, vehicle)
-        if world is not None:
+        still = _still(rng, count - movers, site)
+        world = _feasible(vehicle, still, name)
+        moving = None if world is None else _moving(rng, movers, world, vehicle)
+        if moving is not None and (world := _feasible(vehicle, [*still, *moving], name)) is not None:
             return world
     raise SurctlError(f"{vehicle.name} fits no random world of seed {seed}")
 
 
-def _world_table(name: str, vehicle: Vehicle, obstacles: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the content of a scenario file (a TOML table) that describes the tank with the given obstacles."""
-    return {
-        "kind": "scenario",
-        "name": name,
-        "title": "A random world",
-        "provenance": "random obstacles; site, path and speeds as in the paper's tank",
-        "vehicle": vehicle.name,
-        "path_m": [list(START), list(TARGET)],
-        "depth_m": -0.15,
-        "cruise_m_per_s": 0.2,
-        "cap_m_per_s": 0.22,
-        "time_limit_s": 300.0,
-        "site": {"length_m": LENGTH, "width_m": WIDTH, "depth_m": 5.0},
-        "obstacles": [dict(o) for o in obstacles],
-        "paper": {"result": "none: a random world"},
-    }
+@cache
+def _tank() -> dict[str, Any]:
+    return read_toml(FilePath(__file__).with_name("tank.toml"))
+
+
+def _world(vehicle: Vehicle, obstacles: Sequence[Obstacle] = (), **about: str) -> Scenario:
+    """Return the tank with the given obstacles."""
+    table = _tank() | {"vehicle": vehicle.name, "obstacles": obstacles, **about}
+    return scenario_from_table(table, source="")
 
 
 def world_template(vehicle: Vehicle) -> Scenario:
     """Return a scenario with every possible obstacle of a random world; one compiled loop simulates all worlds."""
-    bodies: list[dict[str, Any]] = [
-        {"name": f"box-{k + 1}", "shape": "box", "size_m": (1.0, 1.0)} for k in range(_BOXES)
-    ]
-    bodies += [{"name": f"cylinder-{k + 1}", "shape": "cylinder", "radius_m": 1.0} for k in range(_CYLINDERS)]
-    bodies += [
-        {"name": f"mover-{k + 1}", "shape": "moving", "radius_m": 1.0, "to_m": (1.0, 1.0), "speed_m_per_s": 0.1}
-        for k in range(_MOVERS)
-    ]
-    empty = scenario_from_table(_world_table("random-worlds", vehicle, []), source="")
-    return replace(empty, obstacles=tuple(Obstacle.model_validate({**b, "centre_m": (5.0, 2.5)}) for b in bodies))
+    middle, motion = (5.0, 2.5), {"to_m": (1.0, 1.0), "speed_m_per_s": 0.1}
+    obstacles = (
+        *(_obstacle("box", k, centre_m=middle, size_m=(1.0, 1.0)) for k in range(_BOXES)),
+        *(_obstacle("cylinder", k, centre_m=middle, radius_m=1.0) for k in range(_CYLINDERS)),
+        *(_obstacle("mover", k, centre_m=middle, radius_m=1.0, **motion) for k in range(_MOVERS)),
+    )
+    return replace(_world(vehicle), obstacles=obstacles)
 
 
 @dataclass(frozen=True)
@@ -279,13 +280,13 @@ class RandomWorlds(Plan):
             problem = "must be 0, since random worlds have no waves"
             raise InputError(problem, key="disturbance.wave_force_n", value=force, remedy="write 0")
 
-    def run(self, k: int) -> SampledRun:
-        """Return run number k, see `Plan.run`."""
-        return SampledRun(replace(self.case, scenario=self.world(k)), self.first + k, self._draw(k))
+    @property
+    def _draws(self) -> str:
+        return "worlds and plant" if self.plant else "worlds"
 
-    def settings(self) -> Mapping[str, object]:
-        """Return the settings of the random draws, see `Plan.settings`."""
-        return {"first seed": self.first, "draws": "worlds and plant" if self.plant else "worlds"}
+    @property
+    def _draws_plant(self) -> bool:
+        return self.plant
 
     def world(self, k: int) -> Scenario:
         """Return the scenario of run number k, which is drawn once and cached."""
@@ -294,73 +295,58 @@ class RandomWorlds(Plan):
             self._known[k] = replace(self.case.scenario, name=world.name, obstacles=world.obstacles)
         return self._known[k]
 
-    def _draw(self, k: int) -> dict[str, float]:
-        return draw_plant(self.case.vehicle, seed=self.first + k) if self.plant else {}
-
-    def _row(self, k: int) -> dict[str, float]:
-        row = {f"plant.{name}": value for name, value in self._draw(k).items()}
+    def _obstacle_values(self, k: int) -> dict[str, float]:
+        values: dict[str, float] = {}
         there = {o.name: o for o in self.world(k).obstacles}
         for slot in self.case.scenario.obstacles:
-            row |= _values(there.get(slot.name, slot), there=slot.name in there)
-        return row
+            o = there.get(slot.name, slot)
+            place = {"there": float(slot.name in there), "x": o.centre_m[0], "y": o.centre_m[1]}
+            end = {} if o.to_m is None else {"to_x": o.to_m[0], "to_y": o.to_m[1], "speed": o.speed_m_per_s or 0.0}
+            values |= _named(slot, place | _shape(o) | end)
+        return values
 
 
-def _values(obstacle: Obstacle, *, there: bool) -> dict[str, float]:
-    # including whether the obstacle is in the water
-    values = {"there": float(there), "x": obstacle.centre_m[0], "y": obstacle.centre_m[1]}
-    if obstacle.size_m is not None:
-        values |= {"size_x": obstacle.size_m[0], "size_y": obstacle.size_m[1]}
-    else:
-        values["radius"] = float(obstacle.radius_m or 0.0)
-    if obstacle.to_m is not None:
-        values |= {"to_x": obstacle.to_m[0], "to_y": obstacle.to_m[1], "speed": float(obstacle.speed_m_per_s or 0.0)}
-    return {f"obstacle.{obstacle.name}.{name}": value for name, value in values.items()}
+def _obstacle(kind: str, k: int, **values: Any) -> Obstacle:
+    shape = "moving" if kind == "mover" else kind
+    return Obstacle.model_validate({"name": f"{kind}-{k + 1}", "shape": shape, **values})
 
 
-def _still(rng: np.random.Generator, count: int) -> list[dict[str, Any]]:
+def _still(rng: np.random.Generator, count: int, site: NDArray[np.float64]) -> list[Obstacle]:
     boxes = (count + 1) // 2
-    obstacles: list[dict[str, Any]] = []
+    obstacles = list[Obstacle]()
     for k in range(count):
+        size = rng.uniform(*_EDGES, 2) if k < boxes else np.full(2, 2 * rng.uniform(*_RADII))
+        centre = _millimetres(rng.uniform(size / 2, site - size / 2))
         if k < boxes:
-            size = rng.uniform(*_EDGES, 2)
-            half = size / 2
-            shape: dict[str, Any] = {"name": f"box-{k + 1}", "shape": "box", "size_m": _millimetres(size)}
+            obstacles.append(_obstacle("box", k, centre_m=centre, size_m=_millimetres(size)))
         else:
-            radius = rng.uniform(*_RADII)
-            half = np.array([radius, radius])
-            shape = {"name": f"cylinder-{k - boxes + 1}", "shape": "cylinder", "radius_m": round(float(radius), 3)}
-        obstacles.append({**shape, "centre_m": _millimetres(rng.uniform(half, np.array([LENGTH, WIDTH]) - half))})
+            obstacles.append(_obstacle("cylinder", k - boxes, centre_m=centre, radius_m=round(size[0] / 2, 3)))
     return obstacles
 
 
-def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: Vehicle) -> list[dict[str, Any]] | None:
+def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: Vehicle) -> list[Obstacle] | None:
     # None if one of the obstacles does not fit
     obstacles: list[Obstacle] = []
+    first, last = scenario.path.waypoints[[0, -1]].tolist()
     for k in range(count):
         for _ in range(200):
             radius = round(float(rng.uniform(*_BALLS)), 3)
-            inside = (radius, LENGTH - radius), (radius, WIDTH - radius)
+            inside = [(radius, edge - radius) for edge in scenario.site[:2]]
             start, end = ([round(float(rng.uniform(*ends)), 3) for ends in inside] for _ in range(2))
             speed = round(float(rng.uniform(_SLOWEST, _FASTEST_MOVER)), 4)
             away = radius + vehicle["radius"] + _NEAR
-            if hypot(start[0] - START[0], start[1] - START[1]) < away:
-                continue
-            if (
-                hypot(end[0] - TARGET[0], end[1] - TARGET[1]) < away
-                or hypot(*np.subtract(end, start)) < _LEAST_DISTANCE
-            ):
+            if dist(start, first) < away or dist(end, last) < away or dist(start, end) < _LEAST_DISTANCE:
                 continue
             path = np.linspace(start, end, 100).tolist()
             if any(o.distance((x, y)) <= radius for o in scenario.obstacles for x, y in path):
                 continue
-            motion = {"centre_m": start, "to_m": end, "radius_m": radius, "speed_m_per_s": speed}
-            one = Obstacle.model_validate({"name": f"mover-{k + 1}", "shape": "moving", **motion})
+            one = _obstacle("mover", k, centre_m=start, to_m=end, radius_m=radius, speed_m_per_s=speed)
             if all(_leaves_gap(one, other, scenario, vehicle) for other in obstacles):
                 break
         else:
             return None
         obstacles.append(one)
-    return [o.model_dump(exclude_unset=True) for o in obstacles]
+    return obstacles
 
 
 def _leaves_gap(one: Obstacle, other: Obstacle, scenario: Scenario, vehicle: Vehicle) -> bool:
@@ -373,9 +359,9 @@ def _millimetres(vector: NDArray[np.float64]) -> list[float]:
     return [round(float(value), 3) for value in vector]
 
 
-def _feasible(table: Mapping[str, Any], vehicle: Vehicle) -> Scenario | None:
+def _feasible(vehicle: Vehicle, obstacles: Sequence[Obstacle], name: str) -> Scenario | None:
     try:
-        scenario = scenario_from_table(dict(table), source="")
+        scenario = _world(vehicle, obstacles, name=name)
         results = findings(scenario, vehicle)
     except InputError:
         return None

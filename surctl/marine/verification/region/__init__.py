@@ -9,13 +9,12 @@ from surctl.marine.verification.region.library import (
 )
 from surctl.marine.verification.region.proof import RegionProof, prove_turning
 from surctl.marine.verification.region.statement import RegionStatement, load_region, write_region
-from surctl.marine.verification.region.steering import SteeringClaim, steering_claim
+from surctl.marine.verification.region.steering import SteeringClaim
 from surctl.marine.verification.region.steering_proof import prove_steering
-from surctl.marine.verification.region.turning import TurningClaim, turning_claim
+from surctl.marine.verification.region.turning import TurningClaim
 
 __all__ = [
     "REGION_CLAIMS", "RegionProof", "RegionStatement", "SteeringClaim", "TurningClaim",
     "applicable_region", "load_region", "prove_statement",
-    "prove_steering", "prove_turning", "refused_regions", "region_statement", "steering_claim",
-    "turning_claim", "write_region",
+    "prove_steering", "prove_turning", "refused_regions", "region_statement", "write_region",
 ]  # fmt: skip

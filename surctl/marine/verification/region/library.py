@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from surctl.errors import InputError, NotApplicable, nearest
+from surctl.files import read_toml
 from surctl.marine.control import Gains, build_law
 from surctl.marine.guidance import Guidance
 from surctl.marine.vehicle import Vehicle
@@ -107,123 +109,10 @@ def _weaker(statement: RegionStatement, *, cruise: float | None, cap: float | No
         yield changed(f"at a cruise speed of {share * speed:.3g} m/s", share)
 
 
-def _entries(*entries: tuple[str, str, dict[str, Any]]) -> Mapping[str, RegionStatement]:
-    return {name: RegionStatement(name=name, statement=statement, **rest) for name, statement, rest in entries}
-
-
-REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
-    ("region-cruise-20", "mass and drag uncertain by ±20 %, any heading, with thrust limits", {"attempts": 60}),
-    (
-        "region-cruise-20-soft",
-        "as region-cruise-20, with the gains k1 = 0.15/s, look-ahead 1.2 m, k_v = 0.35/s",
-        {"gains": {"k1": 0.15, "lookahead": 1.2, "k_v": 0.35}, "attempts": 40},
-    ),
-    (
-        "region-cruise-20-sampled",
-        "as region-cruise-20, with commands held for one control period",
-        {"sampled": True, "attempts": 4},
-    ),
-    (
-        "region-cruise-20-lag",
-        "as region-cruise-20-sampled, with thrust lag and a yaw rate of at most 0.1 rad/s",
-        {"sampled": True, "lagged": True, "yaw_rate_rad_per_s": 0.1, "attempts": 8},
-    ),
-    (
-        "region-cruise-20-spin",
-        "as region-cruise-20-lag, but with a yaw rate up to the gain spin, at which the robot turns to look around",
-        {"sampled": True, "lagged": True, "spinning": True, "attempts": 12},
-    ),
-    (
-        "region-cruise-ranges",
-        "as region-cruise-20, over the ranges of the vehicle file, with thrust limits lower by 15 %",
-        {"ranges": True, "thrust_share": 0.15, "rate_per_s": 0.01, "attempts": 40},
-    ),
-    (
-        "region-cruise-current",
-        "as region-cruise-20, with a constant current of up to 0.05 m/s from any direction",
-        {"current_m_per_s": 0.05, "rate_per_s": 0.01, "attempts": 24},
-    ),
-    (
-        "region-cruise-20-force",
-        "as region-cruise-20, with a disturbance force of up to 0.25 N from waves and thrust errors",
-        {"force_n": 0.25, "attempts": 20},
-    ),
-    (
-        "region-cruise-20-noise",
-        "as region-cruise-20, with a force of up to 0.1 N, a position error of 5 mm and a velocity error of 1 mm/s",
-        {
-            "force_n": 0.1, "place_error_m": 0.005, "velocity_error_m_per_s": 0.001, "rate_per_s": 0.01,
-            "attempts": 100,
-        },
-    ),
-    (
-        "region-turning",
-        "vehicle with its own masses and drag in surge and sway, exactly known, any heading, also from rest",
-        {"loop": "turning", "share": 0.0, "mass_share": 0.0, "rate_per_s": 0.02, "at_rest": True, "attempts": 60},
-    ),
-    (
-        "region-turning-20",
-        "as region-turning, with masses uncertain by ±5 % and drag by ±20 %, not from rest",
-        {"loop": "turning", "rate_per_s": 0.02, "attempts": 100},
-    ),
-    (
-        "region-turning-20-rest",
-        "as region-turning-20, also from rest",
-        {"loop": "turning", "rate_per_s": 0.02, "at_rest": True, "attempts": 60},
-    ),
-    (
-        "region-turning-lag",
-        "as region-turning, with thrust lag and a yaw rate of at most 0.03 rad/s, not from rest",
-        {
-            "loop": "turning", "share": 0.0, "mass_share": 0.0, "lagged": True, "yaw_rate_rad_per_s": 0.03,
-            "rate_per_s": 0.02, "attempts": 20,
-        },
-    ),
-    (
-        "region-turning-20-lag",
-        "as region-turning-20, with thrust lag and a yaw rate of at most 0.1 rad/s",
-        {"loop": "turning", "lagged": True, "yaw_rate_rad_per_s": 0.1, "rate_per_s": 0.02, "attempts": 20},
-    ),
-    (
-        "region-turning-20-sampled",
-        "as region-turning-20, with commands held for one control period and a yaw rate of at most 0.3 rad/s",
-        {"loop": "turning", "sampled": True, "yaw_rate_rad_per_s": 0.3, "rate_per_s": 0.02, "attempts": 16},
-    ),
-    (
-        "region-turning-20-current",
-        "as region-turning-20-scale, with a constant current of up to 0.03 m/s from any direction",
-        {
-            "loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "current_m_per_s": 0.03, "rate_per_s": 0.02,
-            "attempts": 24,
-        },
-    ),
-    (
-        "region-turning-20-scale",
-        "as region-turning-20, with both masses off by the same factor of up to ±20 %",
-        {"loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "attempts": 40},
-    ),
-    (
-        "region-turning-20-curved",
-        "as region-turning-20-scale, at 0.1 m/s on curved paths with a radius of at least 3 m",
-        {
-            "loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "curvature_per_m": 0.3334,
-            "cruise_m_per_s": 0.1, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 40,
-        },
-    ),
-    (
-        "region-turning-20-curved-fast",
-        "as region-turning-20-curved, at 0.15 m/s",
-        {
-            "loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "curvature_per_m": 0.3334,
-            "cruise_m_per_s": 0.15, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 44,
-        },
-    ),
-    (
-        "region-steered-20",
-        "heading loop of a craft without sway force: drag off by ±20 %, each mass by ±2.5 %, surge speed by ±10 %",
-        {"loop": "steered", "mass_share": 0.025, "rate_per_s": 0.02},
-    ),
-)  # fmt: skip
+REGION_CLAIMS: Mapping[str, RegionStatement] = {
+    name: RegionStatement(name=name, **entries)
+    for name, entries in read_toml(Path(__file__).with_name("library.toml")).items()
+}
 
 
 def region_statement(name: str) -> RegionStatement:

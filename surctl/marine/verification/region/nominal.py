@@ -1,4 +1,4 @@
-"""The nominal loop of a region certificate as dynamics, for pictures of the region."""
+"""The loop of a region certificate as dynamics: of the nominal vehicle for pictures, of any for the falsifier."""
 
 from __future__ import annotations
 
@@ -6,13 +6,18 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.lyapunov import Dynamics, Range, State
 from surctl.lyapunov.slope_search import form_of, quadratic
-from surctl.verification.formula import Node, parse, variable
+from surctl.verification.formula import Node, number, parse, variable
+
+Array = NDArray[np.float64]
 
 _EXTENT = 1.4  # half-width of the box, in half-widths of the region
+_WIDE = 12.0  # the same, where a counterexample is searched
+_FACTORS = ("c", "mass", "linear_0", "linear_1", "quadratic_0", "quadratic_1")
 _CRUISE = {"x_e": "m", "y_e": "m", "along": "m/s", "across": "m/s"}
 
 
@@ -27,11 +32,9 @@ def nominal_motion(document: Mapping[str, Any]) -> tuple[Dynamics, Node]:
     """
     claim, ranges = document["claim"], tuple[Range, ...]()
     if document.get("kind") == "turning":
-        lower = document["proof"]["P"][:4]
-        p = np.array([[lower[max(i, j)][min(i, j)] for j in range(4)] for i in range(4)])
-        units, texts = _CRUISE, _cruise(claim["law"], claim["vehicle"]["thrust_n"])
+        p, units = _shape(document), _CRUISE
     elif document.get("kind") == "lyapunov":
-        units, texts = {row["name"]: row["unit"] for row in claim["states"]}, claim["dynamics"]
+        units = {row["name"]: row["unit"] for row in claim["states"]}
         ranges = tuple(Range(**row) for row in claim["parameters"])
         p = form_of(parse(claim["function"], {name: variable(name) for name in units}), list(units)) / claim["level"]
     else:
@@ -40,21 +43,75 @@ def nominal_motion(document: Mapping[str, Any]) -> tuple[Dynamics, Node]:
     known = {name: variable(name) for name in (*units, *(one.name for one in ranges))}
     ends = _EXTENT * np.sqrt(np.diag(np.linalg.inv(p)))
     states = tuple(State(name, -float(end), float(end), units[name]) for name, end in zip(units, ends, strict=True))
-    rates = tuple(parse(texts[name], known) for name in units)
+    if document["kind"] == "turning":
+        rates, _ = _cruise(claim, known | dict.fromkeys(_FACTORS, number(1)) | {"s": number(0)})
+    else:
+        rates = tuple(parse(claim["dynamics"][name], known) for name in units)
     dynamics = Dynamics("region", "continuous", states, rates, ranges)
     return dynamics, quadratic(dynamics, p)
 
 
-def _cruise(law: Mapping[str, Any], limits: list[float]) -> dict[str, str]:
-    """Return the rates of the deviations from the cruise of a vehicle that is the law's model."""
+def uncertain_cruise(document: Mapping[str, Any]) -> tuple[Dynamics, Node, tuple[Node, Node]]:
+    """Return the loop of any vehicle in the ranges of a claim about a cruise, V, and the commands over their limits.
+
+    The states are the deviations from the steady cruise of the vehicle, at any heading. The certificate is about equal
+    masses without lag, held commands, current and disturbances.
+    """
+    claim, (low, high) = document["claim"], document["claim"]["vehicle"]["drag_factor"]
+    apart = claim["vehicle"]["drag_asymmetry"]
+    ratio = (2 + apart) / (2 - apart)
+    ranges = [Range("mass", *claim["vehicle"]["mass_factor"]), Range("heading", -3.15, 3.15)]
+    ranges += [Range(name, low, high) for name in ("linear", "quadratic")]
+    ranges += [Range(f"{name}_ratio", 1 / ratio, ratio) for name in ("linear", "quadratic")]
+    known = {name: variable(name) for name in (*_CRUISE, *(one.name for one in ranges))}
+    for name in ("linear", "quadratic"):
+        known[f"{name}_0"] = known[name]
+        known[f"{name}_1"] = parse(f"min(max({name}*{name}_ratio, {low}), {high})", known)
+    first, second = document["proof"]["trim"]
+    moved = f"{first}*((linear_0 + linear_1)/2 - 1) + {second}*((quadratic_0 + quadratic_1)/2 - 1)"
+    known["x_e"] = parse(f"x_e - ({moved})/{claim['law']['k1']}", known)
+    known |= {"c": parse("cos(heading)", known), "s": parse("sin(heading)", known)}
+    rates, loads = _cruise(claim, known)
+    p = _shape(document)
+    ends = _WIDE * np.sqrt(np.diag(np.linalg.inv(p)))
+    states = tuple(State(name, -float(end), float(end), _CRUISE[name]) for name, end in zip(_CRUISE, ends, strict=True))
+    dynamics = Dynamics("cruise", "continuous", states, rates, tuple(ranges))
+    return dynamics, quadratic(dynamics, p), loads
+
+
+def _shape(document: Mapping[str, Any]) -> Array:
+    lower = document["proof"]["P"][:4]
+    return np.array([[lower[max(i, j)][min(i, j)] for j in range(4)] for i in range(4)], dtype=float)
+
+
+def _cruise(claim: Mapping[str, Any], known: Mapping[str, Node]) -> tuple[tuple[Node, ...], tuple[Node, Node]]:
+    """Return the rates of the deviations from the cruise, and each thrust command over its limit.
+
+    Args:
+        claim: the claim of the certificate.
+        known: the states, the cosine `c` and sine `s` of the heading, and the factors of `mass`, and of the drag of
+            surge and sway: `linear_0`, `linear_1`, `quadratic_0`, `quadratic_1`.
+    """
+    law, names = claim["law"], dict(known)
     v, ahead = law["cruise"], law["lookahead"]
-    pace = f"min(max({v} - {law['k1']}*x_e, 0), {law['cap']}/sqrt(1 + (y_e/{ahead})^2))"
-    rates = {"x_e": "along", "y_e": "across"}
-    pairs = zip(law["mass_kg"], law["linear_drag"], law["quadratic_drag"], limits, strict=True)
-    for (m, a, b, limit), (name, speed, desired) in zip(
-        pairs, (("along", f"(along + {v})", f"({pace})"), ("across", "across", f"(-({pace})*y_e/{ahead})")), strict=True
-    ):
-        command = f"{a}*{desired} + {b}*{desired}*abs({desired}) + {m * law['k_v']}*({desired} - {speed})"
-        thrust = f"min(max({command}, -{limit}), {limit})"
-        rates[name] = f"({thrust} - {a}*{speed} - {b}*{speed}*abs({speed}))/{m}"
-    return rates
+
+    def define(**texts: str) -> None:
+        for name, text in texts.items():
+            names[name] = parse(text, names)
+
+    define(
+        pace=f"min(max({v} - {law['k1']}*x_e, 0), {law['cap']}/sqrt(1 + (y_e/{ahead})^2))",
+        aside=f"-pace*y_e/{ahead}", speed=f"along + {v}",
+        want_0="c*pace + s*aside", want_1="c*aside - s*pace", body_0="c*speed + s*across", body_1="c*across - s*speed",
+    )  # fmt: skip
+    numbers = zip(law["mass_kg"], law["linear_drag"], law["quadratic_drag"], claim["vehicle"]["thrust_n"], strict=True)
+    for k, (m, a, b, limit) in enumerate(numbers):
+        feedback = f"{m * law['k_v']}*(want_{k} - body_{k})"
+        define(**{
+            f"command_{k}": f"{a}*want_{k} + {b}*want_{k}*abs(want_{k}) + {feedback}",
+            f"drag_{k}": f"{a}*linear_{k}*body_{k} + {b}*quadratic_{k}*body_{k}*abs(body_{k})",
+            f"rate_{k}": f"(min(max(command_{k}, -{limit}), {limit}) - drag_{k})/({m}*mass)",
+            f"load_{k}": f"abs(command_{k})/{limit}",
+        })  # fmt: skip
+    rates = ("along", "across", "c*rate_0 - s*rate_1", "s*rate_0 + c*rate_1")
+    return tuple(parse(text, names) for text in rates), (names["load_0"], names["load_1"])

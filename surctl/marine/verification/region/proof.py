@@ -11,7 +11,7 @@ import numpy as np
 
 from surctl.certcheck import Checked, check_document, seal
 from surctl.ir.cache import stored_numbers
-from surctl.marine.verification.region.rates import LevelRatios, cruise_loop, level_ratios
+from surctl.marine.verification.region.rates import LevelRatios, level_ratios
 from surctl.marine.verification.region.steering import SteeringClaim
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.marine.verification.region.turning_search import turning_search
@@ -162,7 +162,7 @@ def _searched(claim: TurningClaim, attempts: int, seed: int, checks: list[Checke
                 "ultimate_bound": motion["ultimate_bound_m"], "munk_moment": moment,
             },
             "extent": float(np.sqrt(np.linalg.inv(one.P)[1, 1])),
-            "ratios": level_ratios(cruise_loop(claim, one.cruise.slopes), one.P, claim.rate) if claim.ideal else None,
+            "ratios": level_ratios(document) if claim.ideal else None,
         }  # fmt: skip
     return {"reason": reason}
 

@@ -2,39 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Mapping, Set
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 from pydantic import Field, StrictBool, StrictFloat, StrictInt, StrictStr
 
 from surctl.errors import InputError, NotApplicable
 from surctl.files import Strict, load_model, quoted, require_doubles
-from surctl.marine.control import Gains, law_source
+from surctl.marine.control import Gains, build_law, law_source
 from surctl.marine.guidance import Guidance
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification.assumptions import check_alike
+from surctl.marine.verification.assumptions import check_alike, check_no_integral, check_sway_force, nine_decimals
 from surctl.marine.verification.cruise_loop import has_cruise_loop
-from surctl.marine.verification.region.steering import SteeringClaim, steering_claim
-from surctl.marine.verification.region.turning import TurningClaim, turning_claim
+from surctl.marine.verification.region.steering import SteeringClaim
+from surctl.marine.verification.region.turning import TurningClaim
 from surctl.own_code import label
 
-_TURNING_KNOWS = frozenset(
+_MASSES = frozenset({"mass_share", "mass_asymmetry", "at_rest", "curvature_per_m", "speed_share"})
+_HORIZONTAL = frozenset(
     {
-        "kind", "name", "statement", "loop", "share", "mass_share", "asymmetry", "mass_asymmetry", "thrust_share",
-        "yaw_rate_rad_per_s", "spinning", "cruise_m_per_s", "cap_m_per_s", "rate_per_s", "at_rest", "curvature_per_m",
-        "gains", "attempts", "current_m_per_s", "lagged", "sampled", "force_n", "place_error_m",
-        "velocity_error_m_per_s",
+        "ranges", "thrust_share", "asymmetry", "mass_asymmetry", "sampled", "lagged", "yaw_rate_rad_per_s", "spinning",
+        "current_m_per_s", "force_n", "place_error_m", "velocity_error_m_per_s", "at_rest", "curvature_per_m",
+        "attempts",
     }
 )  # fmt: skip
-_STEERED_KNOWS = frozenset(
-    {
-        "kind", "name", "statement", "loop", "share", "mass_share", "speed_share", "cruise_m_per_s", "cap_m_per_s",
-        "rate_per_s", "gains",
-    }
-)  # fmt: skip
-_TURNING_ALONE = frozenset({"mass_share", "mass_asymmetry", "at_rest", "curvature_per_m", "speed_share"})
+_WITHOUT: Mapping[str, tuple[str, Set[str]]] = {
+    "cruise": ("the cruise with equal masses", _MASSES),
+    "turning": ("the turning loop", {"ranges", "speed_share"}),
+    "steered": ("the heading loop of craft without sway force", _HORIZONTAL),
+}
+"""Each loop in words, and the keys that have no effect on it."""
+
+_STEERING_GAINS = ("k_psi", "k_r", "crab_time", "sideslip", "lookahead", "k_i")
 
 
 class RegionStatement(Strict):
@@ -118,7 +120,6 @@ class RegionStatement(Strict):
                 does not use.
             NotApplicable: the vehicle or the gains violate an assumption of the claim.
         """
-        share = None if self.ranges else self.share
         own = {key for key in ("cruise_m_per_s", "cap_m_per_s") if key in self.model_fields_set}
         cruise = self.cruise_m_per_s if cruise is None or own else cruise
         cap = self.cap_m_per_s if cap is None or own else cap
@@ -127,36 +128,92 @@ class RegionStatement(Strict):
                 "must be below the cap on commanded speed", key="cruise", value=cruise, remedy="raise the cap"
             )
         if self.loop == "steered":
-            self._used(_STEERED_KNOWS, "the heading loop of craft without sway force")
-            own_gains = {**gains.own, **law_source("steered").gains}
-            return steering_claim(
-                self.name, vehicle, replace(gains, source="").with_own(own_gains).with_values(self.gains),
-                share=self.share, mass_share=self.mass_share, speed_share=self.speed_share, cruise=cruise, cap=cap,
-                rate=self.rate_per_s,
-            )  # fmt: skip
-        law_gains = replace(gains, source="").with_values(self.gains)  # a message must not name the gain file
-        turn = law_gains["spin"] if self.spinning else self.yaw_rate_rad_per_s
-        masses: dict[str, float | None] = {"mass_share": self.mass_share, "mass_asymmetry": self.mass_asymmetry}
+            gains = gains.with_own({**gains.own, **law_source("steered").gains})
+        gains = replace(gains, source="").with_values(self.gains)  # a message must not name the gain file
         if self.loop == "cruise":  # surge and sway are alike, and both masses are off by the same factor
             check_alike(vehicle, ranges=self.ranges)
-            masses = {"mass_share": share, "mass_asymmetry": 0.0}
-        self._used(
-            _TURNING_KNOWS if self.loop == "turning" else type(self).model_fields.keys() - _TURNING_ALONE,
-            "the turning loop" if self.loop == "turning" else "the cruise with equal masses",
-        )
-        return turning_claim(
-            self.name, vehicle, law_gains, share=share, **masses, asymmetry=self.asymmetry,
-            thrust_share=self.thrust_share, yaw_rate=turn, cruise=cruise, cap=cap, rate=self.rate_per_s,
-            rest=self.at_rest, curvature=self.curvature_per_m, current=self.current_m_per_s, lagged=self.lagged,
-            sampled=self.sampled, force=self.force_n, place_error=self.place_error_m,
-            velocity_error=self.velocity_error_m_per_s,
-        )  # fmt: skip
+        self._check_keys()
+        claim = self._steered if self.loop == "steered" else self._turning
+        return claim(vehicle, gains, cruise, cap)
 
-    def _used(self, known: Collection[str], loop: str) -> None:
+    def _check_keys(self) -> None:
         """Raise InputError for a key with another value than its default that this loop does not use."""
-        for key in sorted(self.model_fields_set - set(known)):
+        loop, without = _WITHOUT[self.loop]
+        for key in sorted(self.model_fields_set & without):
             if getattr(self, key) != type(self).model_fields[key].default:
                 raise InputError(f"has no effect on {loop}", key=key, value=getattr(self, key), remedy="leave it out")
+
+    def _turning(self, vehicle: Vehicle, gains: Gains, cruise: float, cap: float) -> TurningClaim:
+        check_sway_force(vehicle)
+        if vehicle.form.tilts:
+            raise NotApplicable("it rolls and pitches, and the claim is about motion in the horizontal plane")
+        if by_surge := [name for axis, name in vehicle.form.ahead() if axis == 1]:
+            raise NotApplicable(
+                f"it has {by_surge[0]}, and the law's model of the sway drag depends on the cruise speed"
+            )
+        check_no_integral(gains)
+        drag = None if self.ranges else self.share
+        mass, apart = (drag, 0.0) if self.loop == "cruise" else (self.mass_share, self.mass_asymmetry)
+        limits, law = vehicle.thrust_limit * (1 - self.thrust_share), build_law()
+        return TurningClaim(
+            name=self.name,
+            mass_factor=_factors(vehicle, mass, "m11", "m22"),
+            drag_factor=_factors(vehicle, drag, "Xu", "Yv", "Xuu", "Yvv"),
+            mass_asymmetry=apart if mass != 0 else 0.0,
+            drag_asymmetry=self.asymmetry if drag != 0 else 0.0,
+            thrust=(nine_decimals(limits[0], up=False), nine_decimals(limits[1], up=False)),
+            yaw_limit=float(limits[3]),
+            yaw_rate=gains["spin"] if self.spinning else self.yaw_rate_rad_per_s,
+            mass=(vehicle["m11"], vehicle["m22"]),
+            linear=(vehicle["Xu"], vehicle["Yv"]),
+            quadratic=(vehicle["Xuu"], vehicle["Yvv"]),
+            gains={key: gains[key] for key in ("k1", "lookahead", "k_v", "k_i", "wait")},
+            cruise=cruise,
+            cap=cap,
+            rate=self.rate_per_s,
+            rest=self.at_rest,
+            digests=(vehicle.digest(), law.block.digest()),
+            terms={name: vehicle[name] for name in vehicle.form.terms},
+            curvature=self.curvature_per_m,
+            current=self.current_m_per_s,
+            lag=vehicle["thrust_lag"] if self.lagged else 0.0,
+            period=law.dt if self.sampled else 0.0,
+            force=self.force_n,
+            place_error=self.place_error_m,
+            velocity_error=self.velocity_error_m_per_s,
+        )
+
+    def _steered(self, vehicle: Vehicle, gains: Gains, cruise: float, cap: float) -> SteeringClaim:
+        if vehicle["Fv_max"] > 0:
+            raise NotApplicable("it has a sway force, and the claim is about craft that are steered by their heading")
+        if 0 < round(vehicle.fin_share(cruise), 12) < 1:
+            raise NotApplicable("it steers by fins and thrusters together, which the claim does not cover")
+        if vehicle.form.tilts:
+            raise NotApplicable("it rolls and pitches, and the claim is about motion in the horizontal plane")
+        check_no_integral(gains)
+        claim = SteeringClaim(
+            name=self.name,
+            mass_factor=_factors(vehicle, self.mass_share),
+            drag_factor=_factors(vehicle, self.share),
+            speed=(round(cruise * (1 - self.speed_share), 9), round(cruise * (1 + self.speed_share), 9)),
+            vehicle=vehicle,
+            gains={key: gains[key] for key in _STEERING_GAINS},
+            cruise=cruise,
+            cap=cap,
+            rate=self.rate_per_s,
+            digest=build_law("steered").block.digest(),
+        )
+        claim.dynamics()
+        return claim
+
+
+def _factors(vehicle: Vehicle, share: float | None, *names: str) -> tuple[float, float]:
+    """Return 1 ± a share; without one, the ranges of the named parameters relative to their values."""
+    if share is not None:
+        return round(1 - share, 9), round(1 + share, 9)
+    stated = [(vehicle[name], vehicle.parameters[name].range) for name in names if vehicle[name]]
+    ends = [end / value for value, known in stated for end in (known or (value, value))]
+    return float(np.floor(1e9 * min(ends)) / 1e9), float(np.ceil(1e9 * max(ends)) / 1e9)
 
 
 def load_region(path: Path) -> RegionStatement:
@@ -191,10 +248,8 @@ def write_region(statement: RegionStatement) -> str:
         return quoted(value) if isinstance(value, str) else repr(value)
 
     plain = {key: value for key, value in statement.model_dump().items() if key != "gains"}
-    own = {"turning": _TURNING_KNOWS, "steered": _STEERED_KNOWS}
-    known = own.get(statement.loop, plain.keys() - _TURNING_ALONE)
-    plain = {key: value for key, value in plain.items() if key in known}
-    lines = [f"{key} = {literal(value)}" for key, value in plain.items()]
+    _, without = _WITHOUT[statement.loop]
+    lines = [f"{key} = {literal(value)}" for key, value in plain.items() if key not in without]
     if statement.gains:
         lines += ["", "[gains]", *(f"{key} = {value!r}" for key, value in statement.gains.items())]
     return "\n".join(lines) + "\n"

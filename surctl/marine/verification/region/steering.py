@@ -15,18 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.steering import STEERED, STEERED_EXCLUDES, heading_loop
-from surctl.errors import InputError, NotApplicable
+from surctl.errors import NotApplicable
 from surctl.lyapunov.dynamics import Dynamics, Range, State
-from surctl.marine.control import Gains, build_law, law_source
 from surctl.marine.control.steering import steering_of, yaw_moment
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification.assumptions import check_no_integral
 from surctl.verification.formula import parse, variable
 
 Array = NDArray[np.float64]
 Pair = tuple[float, float]
 
-_GAINS = ("k_psi", "k_r", "crab_time", "sideslip", "lookahead")
 _BOX = {"y_e": 0.9, "psi": 1.2, "v": 0.6, "r": 1.5, "crab": 1.0, "sway": 0.6}
 """Bounds of the states in which a region is searched: y_e in look-ahead distances, speeds in cruise speeds."""
 
@@ -130,60 +127,6 @@ def _symbols(numbers: Mapping[str, Sequence[float]]) -> dict[str, ca.SX]:
 
 _OWN = ("m11", "m22", "m44", "Yv", "Yvv", "Nr", "Nrr")
 """The parameters of equation (3) in the heading loop."""
-
-
-def steering_claim(
-    name: str,
-    vehicle: Vehicle,
-    gains: Gains,
-    *,
-    share: float = 0.2,
-    mass_share: float = 0.025,
-    speed_share: float = 0.1,
-    cruise: float = 0.15,
-    cap: float = 0.22,
-    rate: float = 0.02,
-) -> SteeringClaim:
-    """Return the claim about the heading loop of a craft without sway force under the law `steered`.
-
-    Args:
-        name: name of the claim.
-        vehicle: the craft that the law's model describes.
-        gains: gains of the law, with or without its own ones.
-        share: relative error of each drag coefficient.
-        mass_share: relative error of each entry of the inertia matrix.
-        speed_share: largest relative deviation of the surge speed from the cruise speed.
-        cruise, cap: cruise speed and largest commanded speed [m/s].
-        rate: decay rate of the Lyapunov function V [1/s].
-
-    Raises:
-        NotApplicable: the vehicle has a sway force, or terms that the proof does not cover, or integral action is on.
-        InputError: the rate is not positive.
-    """
-    if vehicle["Fv_max"] > 0:
-        raise NotApplicable("it has a sway force, and the claim is about craft that are steered by their heading")
-    if 0 < round(vehicle.fin_share(cruise), 12) < 1:
-        raise NotApplicable("it steers by fins and thrusters together, which the claim does not cover")
-    if vehicle.form.tilts:
-        raise NotApplicable("it rolls and pitches, and the claim is about motion in the horizontal plane")
-    if not rate > 0:
-        raise InputError("must be greater than 0", key="rate", value=rate, remedy="correct it")
-    check_no_integral(gains)
-    whole = gains.with_own(law_source("steered").gains)
-    claim = SteeringClaim(
-        name=name,
-        mass_factor=(round(1 - mass_share, 9), round(1 + mass_share, 9)),
-        drag_factor=(round(1 - share, 9), round(1 + share, 9)),
-        speed=(round(cruise * (1 - speed_share), 9), round(cruise * (1 + speed_share), 9)),
-        vehicle=vehicle,
-        gains={key: whole[key] for key in (*_GAINS, "k_i")},
-        cruise=cruise,
-        cap=cap,
-        rate=rate,
-        digest=build_law("steered").block.digest(),
-    )
-    claim.dynamics()
-    return claim
 
 
 def side_per_moment(craft: Vehicle) -> float:

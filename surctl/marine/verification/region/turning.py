@@ -1,4 +1,4 @@
-"""A claim about a turning cruise with different masses in surge and sway, and vehicles that it cannot be about."""
+"""A claim about a turning cruise with different masses in surge and sway."""
 
 from __future__ import annotations
 
@@ -7,15 +7,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from surctl.certcheck.fields import written
 from surctl.certcheck.turning_claim import EXCLUDES, read_claim
 from surctl.certcheck.turning_claim import TurningClaim as Stated
 from surctl.errors import InputError, NotApplicable
-from surctl.marine.control import Gains, build_law
-from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification.assumptions import check_no_integral, check_sway_force, nine_decimals
 
 Pair = tuple[float, float]
 
@@ -143,104 +138,3 @@ class TurningClaim:
     def stated(self) -> Stated:
         """Return the claim as the checker reads it, with a region that is not yet known."""
         return read_claim(self.document(offset=1.0, rest_offset=None, ultimate_bound=(1.0, 1.0), munk_moment=0.0))
-
-
-def turning_claim(
-    name: str,
-    vehicle: Vehicle,
-    gains: Gains,
-    *,
-    share: float | None = 0.2,
-    mass_share: float | None = 0.05,
-    asymmetry: float = 0.05,
-    mass_asymmetry: float | None = None,
-    thrust_share: float = 0.0,
-    yaw_rate: float = 0.5,
-    cruise: float = 0.15,
-    cap: float = 0.22,
-    rate: float = 0.05,
-    rest: bool = False,
-    curvature: float = 0.0,
-    current: float = 0.0,
-    lagged: bool = False,
-    sampled: bool = False,
-    force: float = 0.0,
-    place_error: float = 0.0,
-    velocity_error: float = 0.0,
-) -> TurningClaim:
-    """Return the claim about the cruise of a vehicle under the exported law; surge and sway may differ.
-
-    Args:
-        name: name of the claim.
-        vehicle: the vehicle that the law's model describes.
-        gains: gains of the law.
-        share: relative error of the drag coefficients; None takes the ranges of the vehicle file.
-        mass_share: relative error of the masses m11 and m22; None takes the ranges of the vehicle file.
-        asymmetry: largest difference of the factors of the two linear or the two quadratic drag coefficients, divided
-            by their mean.
-        mass_asymmetry: the same for the factors of the two masses; None for the value of `asymmetry`.
-        thrust_share: largest relative reduction of the thrust limits.
-        yaw_rate: largest yaw rate |r| [rad/s].
-        cruise, cap: speed of the target point on the path, and largest commanded speed [m/s].
-        rate: decay rate of the Lyapunov function V [1/s].
-        rest: whether the region must also contain a vehicle at rest.
-        curvature: largest curvature of the path [1/m].
-        current: largest speed of a constant current [m/s].
-        lagged, sampled: whether the vehicle's thrust lag and the control period are part of the claim.
-        force: largest force of waves and thrust errors [N].
-        place_error, velocity_error: largest error of the measured position [m] and of the measured velocity [m/s].
-
-    Raises:
-        NotApplicable: the vehicle has no sway force, or rolls and pitches, or has sway drag that grows with the surge
-            speed; or integral action is on, or the cruise speed is not below the cap.
-        InputError: a number is out of bounds.
-    """
-    _check_form(vehicle)
-    check_no_integral(gains)
-    limits, law = vehicle.thrust_limit * (1 - thrust_share), build_law()
-
-    def factors(error: float | None, *names: str) -> Pair:
-        if error is not None:
-            return round(1 - error, 9), round(1 + error, 9)
-        stated = [(vehicle[name], vehicle.parameters[name].range) for name in names if vehicle[name]]
-        ends = [end / value for value, known in stated for end in (known or (value, value))]
-        return float(np.floor(1e9 * min(ends)) / 1e9), float(np.ceil(1e9 * max(ends)) / 1e9)
-
-    return TurningClaim(
-        name=name,
-        mass_factor=factors(mass_share, "m11", "m22"),
-        drag_factor=factors(share, "Xu", "Yv", "Xuu", "Yvv"),
-        mass_asymmetry=(asymmetry if mass_asymmetry is None else mass_asymmetry) if mass_share != 0 else 0.0,
-        drag_asymmetry=asymmetry if share != 0 else 0.0,
-        thrust=(nine_decimals(limits[0], up=False), nine_decimals(limits[1], up=False)),
-        yaw_limit=float(limits[3]),
-        yaw_rate=yaw_rate,
-        mass=(vehicle["m11"], vehicle["m22"]),
-        linear=(vehicle["Xu"], vehicle["Yv"]),
-        quadratic=(vehicle["Xuu"], vehicle["Yvv"]),
-        gains={key: gains[key] for key in ("k1", "lookahead", "k_v", "k_i", "wait")},
-        cruise=cruise,
-        cap=cap,
-        rate=rate,
-        rest=rest,
-        digests=(vehicle.digest(), law.block.digest()),
-        terms={name: vehicle[name] for name in vehicle.form.terms},
-        curvature=curvature,
-        current=current,
-        lag=vehicle["thrust_lag"] if lagged else 0.0,
-        period=law.dt if sampled else 0.0,
-        force=force,
-        place_error=place_error,
-        velocity_error=velocity_error,
-    )
-
-
-def _check_form(vehicle: Vehicle) -> None:
-    """Raise NotApplicable for a vehicle whose motion the claim does not describe."""
-    form = vehicle.form
-    check_sway_force(vehicle)
-    if form.tilts:
-        raise NotApplicable("it rolls and pitches, and the claim is about motion in the horizontal plane")
-    by_surge = [name for axis, name in form.ahead() if axis == 1]
-    if by_surge:
-        raise NotApplicable(f"it has {by_surge[0]}, and the law's model of the sway drag depends on the cruise speed")

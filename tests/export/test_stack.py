@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from surctl.errors import InputError
-from surctl.ir.frames import stack_from_report, stack_of
+from surctl.export.check import stack_from_report
+from tests.stack import stack_of
 from tests.tools import need_compiler
 
 TEXT = "void fill(float *x);\nfloat mean(void) { float x[1000]; fill(x); return x[9]; }\n"

@@ -1,20 +1,17 @@
-"""Stack size of generated C from the compiler's report: the sum of the frames along the deepest chain of calls."""
+"""Stack of generated C on this machine, as its compiler reports it."""
 
 from __future__ import annotations
 
-import re
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from surctl.errors import SurctlError, ToolMissing, check_known
-from surctl.ir.c99 import C_TYPE, Real
+from surctl.errors import SurctlError, ToolMissing
+from surctl.export.check import stack_from_report
+from surctl.ir import Block, Real
+from surctl.ir.c99 import C_TYPE
 from surctl.ir.c99_routine import emit_block
 from surctl.ir.cache import compile_program, compiler_version
-from surctl.ir.routine import Block
-
-_FUNCTION = re.compile(r"^\w[\w *]*\b(\w+)\([^;{}]*\)\s*\{([^\n]*\}$|\n.*?^\}$)", re.MULTILINE | re.DOTALL)
-_CALL = re.compile(r"\b(\w+)\(")
 
 
 def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = ("-Os",)) -> int:
@@ -54,40 +51,3 @@ def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler
                 raise
             raise ToolMissing("has no -fstack-usage report", key="CC", value=compiler_version(compiler)) from None
     return stack_from_report(rows, text, entry)
-
-
-def stack_from_report(report: str, text: str, entry: str) -> int:
-    r"""Return the stack size as `stack_of` does, from the report of a compilation with `-fstack-usage`.
-
-    `report` may be the concatenated reports of several object files; `text` is the C text, including its own header
-    files.
-
-    Raises:
-        InputError: the text has no function `entry`.
-        SurctlError: a frame has no fixed size.
-    """
-    # every file that includes a header reports the functions of the header again
-    rows = [line.split("\t") for line in dict.fromkeys(report.splitlines())]
-    if any("dynamic" in row[2] and "bounded" not in row[2] for row in rows):
-        raise SurctlError("a frame has no fixed size")
-    # "text.c:12:3:name", or "name.part.0" for a part that the compiler split off
-    frames: dict[str, int] = {}
-    for where, size, _ in rows:
-        function = where.rsplit(":", 1)[-1].split(".")[0]
-        frames[function] = frames.get(function, 0) + int(size)
-    callees = _callees(text)
-    check_known(entry, callees, "is not a function of the compiled C", key="entry")
-    return _deepest(entry, callees, frames, {})
-
-
-def _callees(text: str) -> dict[str, set[str]]:
-    functions = _FUNCTION.findall(text)
-    names = {name for name, _ in functions}
-    return {name: set(_CALL.findall(body)) & names for name, body in functions}
-
-
-def _deepest(function: str, callees: dict[str, set[str]], frames: dict[str, int], known: dict[str, int]) -> int:
-    if function not in known:
-        below = [_deepest(inner, callees, frames, known) for inner in callees[function]]
-        known[function] = frames.get(function, 0) + max(below, default=0)
-    return known[function]
