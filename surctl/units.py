@@ -138,7 +138,8 @@ def number_and_unit(text: str) -> tuple[float, str]:
 def in_unit(value: float, unit: str, target: str) -> float:
     """Return the value converted to the unit `target`; bit for bit the same number if the two units are equal.
 
-    Angles are treated as plain numbers, as in the law's equations: rad/s and 1/s are the same unit.
+    Angles are treated as plain numbers, as in the law's equations: rad/s and 1/s are the same unit. But a share (unit 1)
+    is no angle.
 
     Raises:
         InputError: the unit is unknown or has another dimension.
@@ -159,7 +160,12 @@ def in_unit(value: float, unit: str, target: str) -> float:
         raise InputError("is not a unit", value=unit, remedy=remedy)
     try:
         # one factor for a decimal prefix, so that 15 cm is exactly the number 0.15
-        factor = float(_registry().Quantity(1.0, unit).to(target).magnitude)
+        quantity = _registry().Quantity(1.0, unit)
+        if target == "1" and str(quantity.to_root_units().units) == "radian":
+            raise InputError("is an angle, not a share", value=unit, remedy='give a number such as 0.05, or "5 %"')
+        factor = float(quantity.to(target).magnitude)
+    except InputError:
+        raise
     except pint.DimensionalityError:
         raise InputError("wrong unit", value=unit, remedy=remedy) from None
     except Exception:  # the unit parser may raise any exception; each one means that the text is not a unit

@@ -49,6 +49,13 @@ def test_a_number_without_dimension_needs_no_unit() -> None:
         in_unit(1.0, "", "m")
 
 
+@pytest.mark.parametrize("unit", ["rad", "deg", "mrad"])
+def test_an_angle_is_no_share(unit: str) -> None:
+    with pytest.raises(InputError, match="is an angle, not a share"):
+        in_unit(0.05, unit, "1")
+    assert in_unit(5.0, "%", "1") == 0.05 and in_unit(2.0, "1/s", "rad/s") == 2.0
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
