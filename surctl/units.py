@@ -138,8 +138,8 @@ def number_and_unit(text: str) -> tuple[float, str]:
 def in_unit(value: float, unit: str, target: str) -> float:
     """Return the value converted to the unit `target`; bit for bit the same number if the two units are equal.
 
-    Angles are treated as plain numbers, as in the law's equations: rad/s and 1/s are the same unit. But a share (unit 1)
-    is no angle.
+    Angles are treated as plain numbers, as in the law's equations: rad/s and 1/s are the same unit. But an angle is no
+    share (unit 1).
 
     Raises:
         InputError: the unit is unknown or has another dimension.
