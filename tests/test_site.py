@@ -211,6 +211,8 @@ ASKED = {
     "time delay": "questions", "state estimator": "questions", "without compiler": "questions", "license": "questions",
     "cite": "project", "export to Simulink": "export", "what is a disk margin": "glossary",
     "vehicle oscillates": "field", "DVL": "questions", "low battery": "questions", "roll and pitch": "add-a-vehicle",
+    "bumpless": "questions", "battery sag": "add-a-vehicle", "refuted": "verify", "round tank": "questions",
+    "SITL": "field", "hardly shrinks": "verify",
 }  # fmt: skip
 
 

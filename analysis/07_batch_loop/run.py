@@ -39,7 +39,7 @@ from surctl.ir import to_casadi  # noqa: E402
 from surctl.ir.cache import compiler_version  # noqa: E402
 from surctl.marine.control import GAINS, Gains, load_gains  # noqa: E402
 from surctl.marine.simulation import METRICS, Case, Sensing, load_scenario, simulate, simulate_batch  # noqa: E402
-from surctl.marine.simulation.batch.engines import pack, structure_of  # noqa: E402
+from surctl.marine.simulation.batch.engines import Packed, structure_of  # noqa: E402
 from surctl.marine.simulation.batch.loop import build_loop  # noqa: E402
 from surctl.marine.vehicle import load_vehicle, plant_parameters  # noqa: E402
 from surctl.priority import Mode  # noqa: E402
@@ -247,7 +247,7 @@ def through_machine(case: Case, values: dict[str, Array], size: Size, seeds: NDA
     machine = {"seeds": seeds[:runs], "engine": "vm"}
     yield Contender(MAP, lambda: steps_of(simulate_batch(short, few, **machine).table), runs, size.machine_every)
     loop = build_loop(structure_of(case, few))
-    packed = pack(case, loop, few, seeds[:runs].astype(np.int64))
+    packed = Packed(case, loop, few, seeds[:runs].astype(np.int64))
     many = to_casadi(loop.step).mapaccum(ticks)
 
     def accumulated() -> float:

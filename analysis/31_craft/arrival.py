@@ -25,7 +25,7 @@ from surctl.marine.control import Gains, default_law, law_source
 from surctl.marine.control.steering import turning_radius
 from surctl.marine.guidance import Path
 from surctl.marine.simulation import Case, Scenario, law_numbers
-from surctl.marine.simulation.batch.engines import compiled_loop, pack, structure_of
+from surctl.marine.simulation.batch.engines import Packed, compiled_loop, structure_of
 from surctl.marine.simulation.batch.loop import build_loop
 from surctl.marine.simulation.metrics import STOPS
 from surctl.marine.simulation.scaling import mission_size, straight_mission
@@ -116,7 +116,7 @@ def arrived(vehicle: Vehicle, *, share: float, count: int, short: bool) -> float
         scenario = replace(scenario, path=Path(scenario.path.waypoints[:2]))
     case = Case(scenario, vehicle, gains)
     loop = build_loop(structure_of(case, {}))
-    packed = pack(case, loop, {}, np.arange(count))
+    packed = Packed(case, loop, {}, np.arange(count))
     state, numbers = packed.state.copy(), packed.parameters.copy()
     if short:
         reach, angle = radius * rng.uniform(0.1, 2.0, count), rng.uniform(-np.pi, np.pi, count)

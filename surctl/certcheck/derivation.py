@@ -345,7 +345,7 @@ class Derivation(Numbers):
             left = do("sub", left, do("if_else_zero", has, float(size)))
             scale = do("mul", scale, do("select", has, 2.0**size, 1.0))
         value = do("mul", value, do("select", do("lt", k, 0.0), do("inv", scale), scale))
-        return do("select", do("lt", most, k), math.inf, do("select", do("lt", k, 1.0 - most), 0.0, value))
+        return do("select", do("lt", most, k), math.inf, do("select", do("lt", k, 2.0 - most), 0.0, value))
 
     def _log(self, x: int) -> int:
         do = self._do

@@ -17,8 +17,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, fields
-from functools import wraps
+from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import wrap
 from types import FrameType
@@ -26,12 +25,12 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO, TypeVar, cast
 
 import click
 
+from surctl.cli import lib
 from surctl.errors import LOSSES, LOST, SurctlError
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
-    from surctl.verification.verdict import Inapplicable
 
 _ESCAPE = "surctl-escape"
 
@@ -218,49 +217,6 @@ _FOLDER = "surctl.folder"  # key of the command's context: folder of files, and 
 _LOST_FILES = "surctl.lost_files"  # key of the command's context: what was not saved, counted by kind
 
 
-class FiniteRange(click.FloatRange):
-    """A finite number in a range (NaN passes every comparison of `click.FloatRange`)."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the number; fail if it is NaN or infinite."""
-        number = super().convert(value, param, ctx)
-        if not math.isfinite(number):
-            self.fail(f"{value!r} is not a finite number", param, ctx)
-        return number
-
-
-def together(*options: Callable[[C], C]) -> Callable[[C], C]:
-    """Combine several options into one decorator; the help lists the options in this order."""
-
-    def decorate(command: C) -> C:
-        for option in reversed(options):
-            command = option(command)
-        return command
-
-    return decorate
-
-
-def collected(**kinds: type[Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return a decorator of a command that receives its options as objects of dataclasses, by the names in `kinds`.
-
-    A field of a dataclass takes the parameter of the same name; without one, it has its default.
-    """
-    used = {one.name for kind in kinds.values() for one in fields(kind)}
-
-    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        @wraps(command)
-        def call(**values: Any) -> Any:
-            groups = {
-                name: kind(**{one.name: values[one.name] for one in fields(kind) if one.name in values})
-                for name, kind in kinds.items()
-            }
-            return command(**{name: value for name, value in values.items() if name not in used}, **groups)
-
-        return call
-
-    return decorate
-
-
 _VERBOSE = "surctl.verbose"  # key of the command's context
 
 
@@ -268,44 +224,13 @@ def _set_verbose(context: click.Context, option: click.Parameter, value: bool) -
     context.meta[_VERBOSE] = value
 
 
-as_json = together(
-    click.option("--json", "as_json", is_flag=True, help="Print the results as one JSON object on stdout."),
-    click.option(
-        *("--verbose", "-v"),
-        is_flag=True,
-        expose_value=False,
-        envvar="SURCTL_VERBOSE",
-        callback=_set_verbose,
-        help=f"Print all lines, not only a summary of {_MOST} lines.",
-    ),
-)
-"""A decorator that adds the options of the output, `--json` and `--verbose`, to a command that ends with `finish`."""
-
-
-class Count(click.IntRange):
-    """A whole number in a range."""
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        """Return the word for the number in the help."""
-        return "N"
-
-
-class _PathTo(click.Path):
-    def __init__(self, metavar: str) -> None:
-        super().__init__(path_type=Path)
-        self.metavar = metavar
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        return self.metavar
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        if value == "":  # of a variable of the shell that is not set; Path("") is the working folder
-            self.fail("is empty; name a file or folder, or write . for the working folder", param, ctx)
-        return super().convert(value, param, ctx)
-
-
-FOLDER, FILE = _PathTo("DIR"), _PathTo("FILE")
-out_folder = click.option("--out", type=FOLDER, help="Folder for plots and files (default: no files).")
+def as_json(command: C) -> C:
+    """Add the options of the output, `--json` and `--verbose`, to a command that ends with `finish`."""
+    text = f"Print all lines, not only a summary of {_MOST} lines."
+    kind: dict[str, Any] = {"expose_value": False, "envvar": "SURCTL_VERBOSE", "callback": _set_verbose, "help": text}
+    command = click.option("--verbose", "-v", is_flag=True, **kind)(command)
+    text = "Print the results as one JSON object on stdout."
+    return click.option("--json", "as_json", is_flag=True, help=text)(command)
 
 
 def finite(value: Any) -> Any:
@@ -550,7 +475,7 @@ def noting_interrupts() -> Iterator[None]:
         _raised.clear()
 
 
-def refusal_line(refused: Inapplicable) -> str:
+def refusal_line(refused: lib.Inapplicable) -> str:
     """Return one line for a claim that is not applicable."""
     return f"n/a  {refused.claim:<22} {refused.sentence}"
 
@@ -585,10 +510,8 @@ def note_replaced(file: Path, command: str) -> None:
 
 def prepare_out(folder: Path) -> None:
     """Create the folder of `--out`; `finish` names the files of other commands in it that this command replaces."""
-    from surctl.files import changes, prepare_folder
-
-    prepare_folder(folder)
-    click.get_current_context().meta[_FOLDER] = (folder, changes(folder))
+    lib.prepare_folder(folder)
+    click.get_current_context().meta[_FOLDER] = (folder, lib.changes(folder))
 
 
 def print_message(text: str) -> None:

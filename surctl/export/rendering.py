@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from types import MappingProxyType
 from typing import Any
@@ -114,19 +114,8 @@ def _direct_law(law: Exportable, block: Program, name: str, real: Real) -> Parts
         [f"input->{member}" for member, _ in entries(law.inputs)],
         [f"gains->{member}" for member, _ in entries(law.gains)],
     ]
-    left = [
-        [f"output->{member}" for member, _ in entries(commands(law))],
-        [f"next[{k}]" for k in range(law.state.size)],
-        ["*status"],
-        [f"output->{member}" for member, _ in entries(telemetry_ports(law))],
-    ]
     stays = {f"next[{k}]" for k in range(law.state.size)} - {f"next[{k}]" for k in _changing(block)}
-    stores = [
-        (to, ref)
-        for place, refs in zip(left, block.output_refs, strict=True)
-        for to, ref in zip(place, refs, strict=True)
-        if to not in stays
-    ]
+    stores = [(to, ref) for to, ref in _stores(law, block, "next") if to not in stays]
     kind = C_TYPE[real]
     body = program_lines(
         block.instructions, stores, address=lambda which, at: members[which][at], real=real, apart=True
@@ -157,21 +146,23 @@ def _changing(block: Program) -> list[int]:
     return [k for k, i in moved if i.op != "input" or i.args != (0, k)]
 
 
+def _stores(law: Exportable, block: Program, state: str) -> Iterator[tuple[str, int]]:
+    """Return the C text of each result of a step, with the next state in the array `state`, and its list position."""
+    left = [
+        *(f"output->{member}" for member, _ in entries(commands(law))),
+        *(f"{state}[{k}]" for k in range(law.state.size)),
+    ]
+    left += ["*status", *(f"output->{member}" for member, _ in entries(telemetry_ports(law)))]
+    return zip(left, itertools.chain(*block.output_refs), strict=True)
+
+
 def _results(law: Exportable, block: Program) -> list[str]:
     """Return the C names of results that may be NaN or infinite; constants, copied inputs and truth values cannot."""
-    left = [
-        [f"output->{member}" for member, _ in entries(commands(law))],
-        [f"state->next[{k}]" for k in range(law.state.size)],
-        [],
-        [f"output->{member}" for member, _ in entries(telemetry_ports(law))],
-    ]
-    visited, checked = set[int](), list[str]()
-    for place, refs in zip(left, block.output_refs, strict=True):
-        for to, ref in zip(place, refs, strict=False):
-            if ref not in visited and block.instructions[ref].op not in LEAVES | TRUTHS:
-                visited.add(ref)
-                checked.append(to)
-    return checked
+    checked: dict[int, str] = {}
+    for to, ref in _stores(law, block, "state->next"):
+        if to != "*status" and block.instructions[ref].op not in LEAVES | TRUTHS:
+            checked.setdefault(ref, to)
+    return list(checked.values())
 
 
 Vector = NDArray[np.float64]

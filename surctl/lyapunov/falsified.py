@@ -77,8 +77,8 @@ def least_level(dynamics: Dynamics, function: Node, rate: float | None = None, *
     close = falsifier.close()
     if close is not None:
         return close
-    failures = falsifier.successors() if dynamics.discrete else falsifier.faces()
-    least, around = min(failures, key=lambda f: f.level, default=None), dynamics
+    outcome = falsifier.successors() if dynamics.discrete else falsifier.faces()
+    least, around = min(outcome, key=lambda f: f.level, default=None), dynamics
     for _ in range(_ROUNDS):
         if least is not None:
             around = hugged(dynamics, function, _MARGIN * least.level)
@@ -154,7 +154,7 @@ class _Falsifier:
         at = int(np.argmin(v) if v.min() <= 0 else np.argmax(pace))
         rise = float((pace * (step**2 / self.scales[:, None] ** 2).sum(axis=0) / v).max()) if least == 0 else np.inf
         cause = "decrease" if rise > _LITTLE else "flat"
-        return self._at_point(np.concatenate([x[:, at], corners[:, 0]]), cause, confirmed=False, level=least)
+        return self._counterexample(np.concatenate([x[:, at], corners[:, 0]]), cause, confirmed=False, level=least)
 
     def _flat(self, corners: Array) -> bool:
         """Return whether V is positive definite to second order at the equilibrium, but its decrease is not."""
@@ -181,7 +181,7 @@ class _Falsifier:
         whole = inequality("V on a face", d.states, -self.function, number(0), [])
         faces = [whole.on(s.name, end) for s in d.states for end in (s.lower, s.upper)]
         points = [np.append(_points(face, *_ON_FACE, self.seed)[:, 0], d.ranges.mean(axis=0)) for face in faces]
-        return [self._at_point(x, "face", confirmed=True) for x in points]
+        return [self._counterexample(x, "face", confirmed=True) for x in points]
 
     def successors(self) -> list[Falsified]:
         """Return points of least V where the successor leaves the box."""
@@ -191,8 +191,8 @@ class _Falsifier:
             for s, after, size in zip(d.states, d.rates, self.scales, strict=True)
             for inside in (exact(s.upper) - after, after - exact(s.lower))
         ]
-        failures = [self._outwards(d.variables, inside, [], "successor") for inside in ends]
-        return [f for f in failures if f is not None]
+        outcome = [self._outwards(d.variables, inside, [], "successor") for inside in ends]
+        return [f for f in outcome if f is not None]
 
     def decrease(self, around: Dynamics) -> Falsified | None:
         """Return a point of least V in a box where V does not decrease."""
@@ -214,9 +214,9 @@ class _Falsifier:
         away = (points[:n] - d.equilibrium[:, None]) * (1 + np.resize(_OUTWARDS, points.shape[1]))
         points[:n] = np.clip(d.equilibrium[:, None] + away, *d.box[:, :, None])
         fails = certain_excess(inequality(cause, d.variables, number(0), holds, []).claim, points) > 0
-        return self._at_point(points[:, int(np.argmax(fails))], cause, confirmed=True) if fails.any() else None
+        return self._counterexample(points[:, int(np.argmax(fails))], cause, confirmed=True) if fails.any() else None
 
-    def _at_point(self, point: Array, cause: str, *, confirmed: bool, level: float | None = None) -> Falsified:
+    def _counterexample(self, point: Array, cause: str, *, confirmed: bool, level: float | None = None) -> Falsified:
         n = len(self.dynamics.states)
         value = float(self._at(point[:n, None])[0][0]) if level is None else level
         names = [v.name for v in self.dynamics.variables]

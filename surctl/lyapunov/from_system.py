@@ -18,6 +18,7 @@ from surctl.lyapunov.dynamics import Command, Dynamics, Range, Sampling, State, 
 from surctl.lyapunov.equilibrium import refined
 from surctl.lyapunov.shifts import shifted
 from surctl.system import System, entry_labels, entry_units, find_equilibrium
+from surctl.system.sampled import Instant
 from surctl.system.values import checked_ranges, place_of, run_numbers, unit_of
 from surctl.units import as_range
 from surctl.verification.formula import (
@@ -190,7 +191,7 @@ def _dynamics(
     y = plant.measurement(x, disturbance, flat["plant"])
     command, after, *_ = action(z, system.inputs_of(y, reference), flat["gains"])
     empty = ca.SX(0, 1)
-    f, _, _ = system.driven(command, x, empty, empty, d=disturbance, p=flat["plant"], q=empty)
+    f, _, _ = system.driven(command, Instant(x, disturbance, flat["plant"], empty), empty, empty)
     flow = plant.derivative(x, f, disturbance, flat["plant"])
     rates = ca.densify(ca.vertcat(flow, (after - z) / constants.column([system.dt])))
     if ca.depends_on(rates, t):

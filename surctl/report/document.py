@@ -6,10 +6,11 @@ import base64
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -170,6 +171,19 @@ def outcome_cell(good: bool, yes: str, no: str) -> Cell:
 _TEMPLATES = Path(__file__).parent / "templates"
 
 
+@cache
+def template(name: str) -> Template:
+    """Return the template of a page, which escapes all text."""
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template(name)
+
+
 def render_sections(
     *,
     title: str,
@@ -194,13 +208,6 @@ def render_sections(
             section is folded, only lines that fail or are not decided are open.
         sections: the sections in reading order.
     """
-    environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-    )
     style = (_TEMPLATES / "page.css").read_text(encoding="utf-8")
     plays = any(block.kind == "player" for section in sections for block in section.blocks)
     folds = any(section.folded for section in sections)
@@ -210,8 +217,7 @@ def render_sections(
     shown = [line for line in _linked(lines, sections) if line.about or not banner.endswith(f": {line.text}")]
     hidden = [line for at, line in enumerate(shown) if folds and (line.rank > 2 or (line.rank == 2 and at >= _FACTS))]
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
-    page = environment.get_template("page.html")
-    return page.render(
+    return template("page.html").render(
         title=title,
         subject=subject,
         version=version,

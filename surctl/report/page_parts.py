@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, SurctlError, check_known
 from surctl.report.design_bench import DesignBench, Slider, View
+from surctl.report.document import template
 from surctl.report.panel import Curve, Panel, Shade, draw_panel, draw_panels, panel_svg
 from surctl.report.theme import BAD, dress, legend_above, new_axes, png
 from surctl.system import LinearLoop
@@ -349,30 +349,21 @@ def page(bench: DesignBench, *, nonce: str, token: str) -> str:
         "token": token,
         "goals": bool(bench.goals),
     }
-    names = loop.names
-    sources = [*(f"reference.{n}" for n in names.references), *(f"disturbance.{n}" for n in names.disturbances),
-               *(f"measured.{n}" for n in names.outputs), *(f"command.{n}" for n in names.commands)]  # fmt: skip
-    ends = [*(f"measured.{n}" for n in names.outputs), *(f"command.{n}" for n in names.commands)]
-    parts = {
-        "title": escape(bench.title),
-        "style": (_TEMPLATES / "design.css").read_text(encoding="utf-8"),
-        "script": (_TEMPLATES / "design.js").read_text(encoding="utf-8"),
-        "nonce": nonce,
-        "data": json.dumps(about).replace("<", "\\u003c"),
-        "openings": _options(loop.channels()),
-        "sources": _options(sources, start),
-        "ends": _options(ends, end),
-        "gains": _options([one.name for one in bench.sliders]),
-        "points": "".join(
-            f'<label class="check"><input type="checkbox" name="point" value="{escape(p, quote=True)}"'
-            f"{' checked' if k < 3 else ''}> {escape(p)}</label>"
-            for k, p in enumerate(bench.points)
-        ),
-    }
-    text = (_TEMPLATES / "design.html").read_text(encoding="utf-8")
-    for name, value in parts.items():
-        text = text.replace(f"@{name}@", value)
-    return text
+    ends = [f"{kind}.{label}" for kind in ("measured", "command") for label in loop.names.of_kind(kind)]
+    outer = [f"{kind}.{label}" for kind in ("reference", "disturbance") for label in loop.names.of_kind(kind)]
+    return template("design.html").render(
+        title=bench.title,
+        style=(_TEMPLATES / "design.css").read_text(encoding="utf-8"),
+        script=(_TEMPLATES / "design.js").read_text(encoding="utf-8"),
+        nonce=nonce,
+        data=json.dumps(about).replace("<", "\\u003c"),
+        openings=loop.channels(),
+        sources=[*outer, *ends],
+        ends=ends,
+        chosen=(start, end),
+        gains=[one.name for one in bench.sliders],
+        points=bench.points,
+    )
 
 
 def _first_loop(bench: DesignBench) -> LinearLoop:
@@ -443,18 +434,8 @@ def _goals(bench: DesignBench, request: Request) -> dict[str, Any]:
     assert scores is not None
     worst = max((score.judgement.normalised for score in scores.scores), default=0.0)
     panels = _goal_panels(scores, compared=others)
-    strip = _strip((panel.title.rpartition(" (")[0], panel.note, panel.mark) for panel in panels)
+    strip = _html("strip", [(panel.title.rpartition(" (")[0], panel.note, panel.mark) for panel in panels])
     return {"html": "".join(map(panel_svg, panels)), "worst": worst if np.isfinite(worst) else None, "strip": strip}
-
-
-def _strip(goals: Iterable[tuple[str, str, str]]) -> str:
-    """Return name, text and mark ("good", "bad") of what should hold as entries of the list that stays in view."""
-    return "".join(
-        f'<li class="{mark}">{"✓" if mark == "good" else "✗"} {escape(name)}: '
-        f"{escape(text.removeprefix('met: ').removeprefix('missed: '))}</li>"
-        for name, text, mark in goals
-        if mark
-    )
 
 
 def _details(bench: DesignBench, request: Request) -> dict[str, Any]:
@@ -466,15 +447,6 @@ def _details(bench: DesignBench, request: Request) -> dict[str, Any]:
             cells = (point, m.name, _margin(m.gain_margin), _margin(m.phase_margin_deg), _margin(m.delay_margin_s),
                      _margin(m.disk_margin), _margin(m.crossover_rad_s))  # fmt: skip
             rows.append(cells if m.stable else (point, m.name, loop.stability.lower(), "", "", "", ""))
-    head = (
-        "operating point",
-        "opened at",
-        "gain margin",
-        "phase [deg]",
-        "delay [s]",
-        "disk margin of this loop alone",
-        "crossover [rad/s]",
-    )
     name, values = request["locus"], _values(bench, request["values"])
     slider = {one.name: one for one in bench.sliders}[name]
     grid = _positions(slider, _LOCUS)
@@ -482,37 +454,29 @@ def _details(bench: DesignBench, request: Request) -> dict[str, Any]:
     swept = [bench.loop({**values, name: float(value)}, point) for value in grid]
     there = f"{grid[0]:.3g} to {grid[-1]:.3g}"
     locus = _locus_panel(f"Poles over {name}, {point}", swept, {"now": loops[point]}, there)
-    return {"margins": _table(head, rows), "locus": panel_svg(locus)}
+    return {"margins": _html("margins", rows), "locus": panel_svg(locus)}
 
 
 def _run(bench: DesignBench, request: Request) -> dict[str, Any]:
     before = getattr(bench, "version", 0)
     view = bench.run(_values(bench, request["values"]), request["points"] or bench.points[:1])
-    cells = "".join(
-        f'<tr><td>{escape(label)}</td><td><span id="{escape(name, quote=True)}" class="{mark}">{escape(text)}</span>'
-        "</td></tr>"
-        for label, text, name, mark in view.rows
-    )
-    table = (
-        '<div class="scroll" tabindex="0" role="region" aria-label="Figures of the run"><table>'
-        f'<thead><tr><th scope="col">figure</th><th scope="col">value</th></tr></thead><tbody>{cells}</tbody>'
-        "</table></div>"
-    )
     html = "".join(map(panel_svg, view.panels)) + _picture(view.picture) + _command(bench, request, "run")
-    strip = _strip((name.removeprefix("goal ").removeprefix("cost "), text, mark) for _, text, name, mark in view.rows)
+    shown = [(name.removeprefix("goal ").removeprefix("cost "), text, mark) for _, text, name, mark in view.rows]
+    table, strip = _html("figures", view.rows), _html("strip", shown)
     return {"table": table, "html": html, "strip": strip, "moved": getattr(bench, "version", 0) != before}
 
 
 def _slow(bench: DesignBench, request: Request) -> dict[str, Any]:
     view = bench.decide(_values(bench, request["values"]))
-    lines = "".join(f'<li class="{mark}">{escape(text)}</li>' for text, mark in view.lines)
-    return {"html": f'<ul class="lines">{lines}</ul>{_picture(view.picture)}{_command(bench, request, "decision")}'}
+    return {"html": _html("lines", view.lines) + _picture(view.picture) + _command(bench, request, "decision")}
+
+
+def _html(part: str, *contents: object) -> str:
+    return str(getattr(template("design_parts.html").module, part)(*contents))
 
 
 def _command(bench: DesignBench, request: Request, view: View) -> str:
-    words = bench.command(_values(bench, request["values"]), view)
-    first = " (after the gains are saved in gains.toml)" if "gains.toml" in words else ""
-    return f'<p class="note command">On the command line{first}: <code>{escape(words)}</code></p>'
+    return _html("command", bench.command(_values(bench, request["values"]), view))
 
 
 def _slider(one: Slider) -> dict[str, Any]:
@@ -529,19 +493,6 @@ def _positions(one: Slider, count: int) -> Any:
     return np.array([one.low, *inner, one.high])
 
 
-def _options(names: Sequence[str], chosen: str = "") -> str:
-    return "".join(f"<option{' selected' if name == chosen else ''}>{escape(name)}</option>" for name in names)
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    top = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
-    return (
-        '<div class="scroll" tabindex="0" role="region" aria-label="Margins"><table>'
-        f"<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>"
-    )
-
-
 def _margin(value: float) -> str:
     return "none" if np.isinf(value) else f"{value:.3g}"
 
@@ -551,5 +502,4 @@ def _picture(picture: tuple[Figure, str] | None) -> str:
         return ""
     figure, text = picture
     data = base64.b64encode(png(figure, Software=getattr(figure, "maker", None))).decode()
-    said = escape(text, quote=True)
-    return f'<figure class="panel wide"><img alt="{said}" src="data:image/png;base64,{data}"></figure>'
+    return _html("picture", text, data)

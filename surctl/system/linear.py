@@ -22,6 +22,7 @@ from surctl.system.loop import System, once_per_system
 from surctl.system.parts import entry_labels, entry_units
 from surctl.system.plant import Plant
 from surctl.system.record import Record
+from surctl.system.sampled import Instant
 from surctl.system.values import RunNumbers, run_numbers
 from surctl.units import as_numbers
 
@@ -425,10 +426,11 @@ def _block_slopes(system: System) -> list[tuple[ca.Function, ca.Function]]:
     x, b, d, p, q, c = _block_symbols(system)
     by, mean, pairs = ca.vertcat(x, b, d), ca.SX(0, 1), []
     for k in range(system.blocks.instants):
-        memory, _ = system.sensed(x, b, mean, d=d, p=p, q=q, instant=k)
+        at = Instant(x, d, p, q, k=k)
+        memory, _ = system.sensed(at, b, mean)
         y = system.held(system.plant.measurement(x, d, p), memory)
         sense = ca.Function("sense", [x, d, p, b, q], [ca.jacobian(y, by), ca.jacobian(memory, by)])
-        f, memory, _ = system.driven(c, x, b, mean, d=d, p=p, q=q, instant=k)
+        f, memory, _ = system.driven(c, at, b, mean)
         every = ca.vertcat(c, by)
         drive = ca.Function("drive", [c, x, d, p, b, q], [ca.jacobian(f, every), ca.jacobian(memory, every)])
         pairs.append((sense, drive))
@@ -451,10 +453,11 @@ def _functions(system: System) -> dict[str, ca.Function]:
     x, b, d, p, q, c = _block_symbols(system)
     y, r = ca.SX.sym("y", system.measurements.size), ca.SX.sym("r", system.references.size)
     mean = ca.SX(0, 1)
-    behind, _ = system.sensed(x, b, mean, d=d, p=p, q=q)
+    at = Instant(x, d, p, q)
+    behind, _ = system.sensed(at, b, mean)
     measure = ca.Function("measure", [x, d, p, b, q], [system.held(plant.measurement(x, d, p), behind), behind])
     inputs = ca.Function("inputs", [y, r], [system.inputs_of(y, r)])
-    f, driven, _ = system.driven(c, x, b, mean, d=d, p=p, q=q)
+    f, driven, _ = system.driven(c, at, b, mean)
     drive = ca.Function("drive", [c, x, d, p, b, q], [f, driven])
     rate = ca.Function("rate", [x, c, d, p, b, q], [plant.derivative(x, f, d, p)])
     X, Z, B = ca.MX.sym("x", plant.state.size), ca.MX.sym("z", controller.state.size), ca.MX.sym("b", b.numel())

@@ -21,7 +21,7 @@ from surctl.ir.c99 import identifier
 from surctl.system.controller import SampledController, command_ports, step_results
 from surctl.system.parts import Parts, called, joined
 from surctl.system.plant import Plant
-from surctl.system.sampled import CLOCK, Blocks, Sampled, connected
+from surctl.system.sampled import CLOCK, Blocks, Instant, Sampled, connected
 from surctl.units import as_range, is_number
 
 _FIGURE = Layout((Port("value", (1,), "1", "a figure"),))
@@ -266,46 +266,20 @@ class System:
             behind |= {port.name: parts[f"{block.name}.{port.name}"] for port in block.outputs}
         return self.measurements.join(behind)
 
-    def sensed(
-        self,
-        x: ca.SX,
-        memory: ca.SX,
-        noise: ca.SX,
-        *,
-        d: ca.SX,
-        p: ca.SX,
-        q: ca.SX,
-        count: ca.SX | float = 0.0,
-        instant: int = 0,
-    ) -> tuple[ca.SX, ca.SX]:
+    def sensed(self, at: Instant, memory: ca.SX, noise: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the memory of all blocks and the noise generator's state after the sensors of an instant.
 
-        All vectors are flat: plant state, disturbances at this time, plant parameters, and parameters `q` of all
-        blocks; see `Blocks.sampled`.
+        All vectors are flat; see `Blocks.sampled`.
         """
-        y = self.plant.measurements.split(self.plant.measurement(x, d, p))
-        return self.blocks.sampled("sensors", instant, y, memory, noise, q, count)[1:]
+        y = self.plant.measurements.split(self.plant.measurement(at.x, at.d, at.p))
+        return self.blocks.sampled("sensors", at, y, memory, noise)[1:]
 
-    def driven(
-        self,
-        command: ca.SX,
-        x: ca.SX,
-        memory: ca.SX,
-        noise: ca.SX,
-        *,
-        d: ca.SX,
-        p: ca.SX,
-        q: ca.SX,
-        count: ca.SX | float = 0.0,
-        instant: int = 0,
-    ) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return the flat inputs of the plant behind the actuators of an instant, the memory and the noise's state.
-
-        Args: as in `sensed`, with the controller's command.
-        """
-        signals = self.plant.measurements.split(self.plant.measurement(x, d, p)) if self.blocks.actuators else {}
-        signals |= self.commands.split(command)
-        behind, memory, noise = self.blocks.sampled("actuators", instant, signals, memory, noise, q, count)
+    def driven(self, command: ca.SX, at: Instant, memory: ca.SX, noise: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return the flat inputs of the plant behind the actuators of an instant, the memory and the noise's state."""
+        signals = self.commands.split(command)
+        if self.blocks.actuators:
+            signals = self.plant.measurements.split(self.plant.measurement(at.x, at.d, at.p)) | signals
+        behind, memory, noise = self.blocks.sampled("actuators", at, signals, memory, noise)
         return self.plant.inputs.join({port.name: behind[port.name] for port in self.plant.inputs}), memory, noise
 
     @cached_property

@@ -21,6 +21,7 @@ from surctl.system.controller import NONFINITE, lost_entry
 from surctl.system.loop import ENDED, LOST, System, once_per_system
 from surctl.system.parts import entry_labels, entry_units, not_finite
 from surctl.system.runs import figures_of, first_sums, moved_state, periods, summed
+from surctl.system.sampled import Instant
 from surctl.system.values import run_numbers
 
 Array = NDArray[np.float64]
@@ -231,7 +232,7 @@ def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
     q, memory = ca.SX.sym("q", system.blocks.parameters.size), ca.SX.sym("memory", system.blocks.memory.size)
     noise, count = ca.SX.sym("noise", system.blocks.noise), ca.SX.sym("count")
     late, reference = system.disturbance_at(t, d), system.reference_at(t, r)
-    after = system.sensed(x, memory, noise, d=late, p=p, q=q, count=count)
+    after = system.sensed(Instant(x, late, p, q, count), memory, noise)
     y = system.held(plant.measurement(x, late, p), after[0])
     results = [y, system.inputs_of(y, reference), reference, *after]
     sense = ca.Function("sense", [x, t, p, r, d, q, memory, noise, count], results)

@@ -20,6 +20,7 @@ from surctl.noise import noise_states
 from surctl.plotted import Plotted
 from surctl.system.loop import ENDED, LOST, System, once_per_system
 from surctl.system.plant import runge_kutta
+from surctl.system.sampled import Instant
 from surctl.system.values import run_numbers
 from surctl.units import is_number
 
@@ -181,7 +182,7 @@ def _loop_step(system: System) -> Block:
     reference, d = system.reference_at(t, constants["reference"]), system.disturbance_at(t, constants["disturbance"])
     x, p, q = now["plant"], constants["plant"], constants["blocks"]
     y = plant.measurement(x, d, p)
-    memory, noise = system.sensed(x, now["memory"], now["noise"], d=d, p=p, q=q, count=now["count"])
+    memory, noise = system.sensed(Instant(x, d, p, q, now["count"]), now["memory"], now["noise"])
     inputs = {
         "x": now["controller"], "u": system.inputs_of(system.held(y, memory), reference), "p": constants["gains"],
         "memory": memory, "noise": noise,
@@ -267,10 +268,10 @@ def moved_state(
     instants, p, q = system.blocks.instants, constants["plant"], constants["blocks"]
     for k in range(instants):
         late = k * system.dt / instants
-        d = system.disturbance_at(t + late, constants["disturbance"])
+        at = Instant(x, system.disturbance_at(t + late, constants["disturbance"]), p, q, count, k)
         if k:
-            memory, noise = system.sensed(x, memory, noise, d=d, p=p, q=q, count=count, instant=k)
-        f, memory, noise = system.driven(command, x, memory, noise, d=d, p=p, q=q, count=count, instant=k)
+            memory, noise = system.sensed(at, memory, noise)
+        f, memory, noise = system.driven(command, at, memory, noise)
         x = _integrated(system, x, f, constants, t, late)
     return x, memory, noise
 

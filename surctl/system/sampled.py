@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 
@@ -156,6 +156,24 @@ def message(
     )  # fmt: skip
 
 
+class Instant(NamedTuple):
+    """An instant of a control period; all vectors are flat.
+
+    Attributes:
+        x, d: plant state and disturbances then.
+        p, q: parameters of the plant, and of all sampled blocks.
+        period: number of the control period.
+        k: number of the instant in it, from 0.
+    """
+
+    x: ca.SX
+    d: ca.SX
+    p: ca.SX
+    q: ca.SX
+    period: ca.SX | float = 0.0
+    k: int = 0
+
+
 @dataclass(frozen=True, eq=False)
 class Blocks:
     """All sampled blocks of a loop, with one flat memory and one flat vector of parameters.
@@ -232,33 +250,25 @@ class Blocks:
         )
 
     def sampled(
-        self,
-        side: Side,
-        instant: int,
-        signals: Mapping[str, ca.SX],
-        memory: ca.SX,
-        noise: ca.SX,
-        parameters: ca.SX,
-        count: ca.SX | float = 0.0,
+        self, side: Side, at: Instant, signals: Mapping[str, ca.SX], memory: ca.SX, noise: ca.SX
     ) -> tuple[dict[str, ca.SX], ca.SX, ca.SX]:
         """Return the signals behind the sensors or actuators, the memory and the noise generator's state.
 
-        `instant` counts the instants of the control period number `count`, from 0. Memory and parameters of all blocks
-        are flat. If `noise`, the state of the generator, is empty, every random number has its mean (0, or 1/2 if
-        uniform).
+        The memory of all blocks is flat. If `noise`, the state of the generator, is empty, every random number has its
+        mean (0, or 1/2 if uniform).
         """
-        time = ca.SX(count) * self.dt + instant * self.dt / self.instants
-        behind, parts, numbers = {"time": time, **signals}, self.memory.split(memory), self.parameters.split(parameters)
+        time = ca.SX(at.period) * self.dt + at.k * self.dt / self.instants
+        behind, parts, numbers = {"time": time, **signals}, self.memory.split(memory), self.parameters.split(at.q)
         for block in self.sensors if side == "sensors" else self.actuators:
             own = {port.name: f"{block.name}.{port.name}" for port in block.memory}
             samples, periods = self._rates[block.name]
-            if instant % (self.instants // samples) == 0 and (periods == 1 or instant == 0):
+            if at.k % (self.instants // samples) == 0 and (periods == 1 or at.k == 0):
                 old = block.memory.join({name: parts[key] for name, key in own.items()})
                 normal, uniform, noise = _random(block, noise)
                 p = block.parameters.join({q.name: numbers[f"{block.name}.{q.name}"] for q in block.parameters})
                 new = block.sample(old, block.inputs.join(behind), p, normal, uniform)
                 if periods > 1:
-                    new = ca.if_else(remainder(ca.SX(count), periods) == 0, new, old)
+                    new = ca.if_else(remainder(ca.SX(at.period), periods) == 0, new, old)
                 parts |= {own[name]: part for name, part in block.memory.split(new).items()}
             behind |= {port.name: parts[own[port.name]] for port in block.outputs}
         return behind, self.memory.join(parts), noise

@@ -183,7 +183,8 @@ def tune(
         used = 1 + max(c.seed for c in request.conditions)
         for k in range(rounds):
             progress(f"round {k + 1} of at most {rounds}: {len(current.conditions)} runs for each gain set")
-            searched = _searched(current, done, _longer(trials, done), journal, progress)
+            longer = 2 if done and _barren(done[-1]) else 1  # the last round added no counterexample
+            searched = _searched(current, done, longer * trials, journal, progress)
             last, pool = _round(current, searched, runs, k, journal, progress, used=used)
             journal.note_best(*request.so_far(last.gains, f"the gains of round {k + 1} of an unfinished tuning"))
             done.append(last)
@@ -243,11 +244,6 @@ def _ended(done: Sequence[Round]) -> bool:
 def _barren(one: Round) -> bool:
     # the round adds no counterexample to the request of the next round
     return not (one.training or one.claims or (one.fresh and one.feasible))
-
-
-def _longer(trials: int, done: Sequence[Round]) -> int:
-    # doubled if the last round added no counterexample
-    return 2 * trials if done and _barren(done[-1]) else trials
 
 
 def _searched(request: SearchRequest, done: Sequence[Round], trials: int, journal: Journal, progress: Progress) -> Pool:

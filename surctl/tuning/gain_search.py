@@ -95,7 +95,10 @@ def _next(request: SearchRequest, pool: Pool, visited: list[Array], start: Array
 
 def _iteration(request: SearchRequest, pool: Pool, at: _At) -> Pool:
     """Simulate the neighbours of `at` for the linearisation, then the proposed gain sets; return all as one pool."""
-    beside = _beside(at)
+    # neighbours (2 d, d): one step up and one step down in each direction, within the cube
+    d, far = len(at.place), min(_DIFFERENCE, at.step / 2)
+    both = np.repeat(np.eye(d), 2, axis=0) * np.tile([far, -far], d)[:, None]
+    beside = np.clip(at.place + both, 0.0, 1.0)
     near, table = request.simulate(_sets(request, np.vstack([beside, at.place])))
     objective, constraint = _functions(request, near, table, pool.evaluation.normalised[0])
     width = (beside[0::2] - beside[1::2]).sum(axis=1)
@@ -107,14 +110,6 @@ def _iteration(request: SearchRequest, pool: Pool, at: _At) -> Pool:
     lines = (objective[-1], slope(objective)), (constraint[-1], slope(constraint))
     proposed = np.array([_least(at.place, *lines, factor * at.step) for factor in _STEP_FACTORS])
     return joined_pools([near.subset(range(len(beside))), request.judge(_sets(request, proposed))])
-
-
-def _beside(at: _At) -> Array:
-    # neighbours (2 d, d): one step up and one step down in each direction, within the cube
-    d, far = len(at.place), min(_DIFFERENCE, at.step / 2)
-    both = np.repeat(np.eye(d), 2, axis=0) * np.tile([far, -far], d)[:, None]
-    places: Array = np.clip(at.place + both, 0.0, 1.0)
-    return places
 
 
 def _sets(request: SearchRequest, places: Array) -> dict[str, Array]:
@@ -385,7 +380,8 @@ def conflict(
         if held.any():
             return True
         part = _of(request, [every[k] for k in subset])
-        result = search(part, trials=trials, first=[known.gains(_nearest(known, subset))])
+        nearest = int(known.evaluation.excess[:, list(subset)].sum(axis=1).argmin())
+        result = search(part, trials=trials, first=[known.gains(nearest)])
         best = result.best(result.evaluation.normalised[0])
         known = joined_pools([known, whole.judge(result.subset([best]).sets)])
         met = bool(result.feasible[best])
@@ -401,7 +397,3 @@ def _of(request: SearchRequest, chosen: Sequence[Demand]) -> SearchRequest:
     return replace(
         request, goals=tuple(d.goal for d in chosen), conditions=merged(c for d in chosen for c in d.conditions)
     )
-
-
-def _nearest(known: Pool, subset: Sequence[int]) -> int:
-    return int(known.evaluation.excess[:, list(subset)].sum(axis=1).argmin())

@@ -15,20 +15,7 @@ from pydantic import Field as Key
 from surctl.errors import InputError, check_known, check_once, mistakes_in, nearest
 from surctl.files import Quantity, Strict, load_model, pick
 from surctl.system import System
-from surctl.tuning.loop_goal_types import (
-    Effort,
-    LoopShape,
-    Margins,
-    MaxGain,
-    Overshoot,
-    Poles,
-    Rejection,
-    SensitivityBound,
-    Settling,
-    StepRejection,
-    StepTracking,
-    Tracking,
-)
+from surctl.tuning.loop_goal_types import STEPS, TYPES
 from surctl.tuning.loop_goals import Bound, LoopGoal, Profile, check_points
 from surctl.verification.loops import worst_place
 
@@ -233,13 +220,6 @@ class RunGoal:
         return {"name": self.name, **bound, "kind": self.kind, "over": self.over}
 
 
-_TYPES: Mapping[str, type[LoopGoal]] = {
-    kind.TYPE: kind
-    for kind in (
-        LoopShape, SensitivityBound, Rejection, MaxGain, Effort, Tracking, Overshoot, Settling, StepTracking,
-        StepRejection, Poles, Margins,
-    )
-}  # fmt: skip
 _COMMON = {"name", "type", "kind", "points", "plants", "cruise_m_per_s"}
 _OF_METRICS = ("metric", "at_least", "over", "cases")
 _PROFILE = ("frequency_rad_per_s", "gain", "gain_db")
@@ -268,7 +248,7 @@ def _keys(one: Field[Any]) -> tuple[str, ...]:
 
 LOOP_GOAL_KEYS: Mapping[str, frozenset[str]] = {
     name: frozenset(key for one in fields(kind) if one.name not in _COMMON for key in _keys(one))
-    for name, kind in _TYPES.items()
+    for name, kind in TYPES.items()
 }
 """Types of goals about the loop, with the keys of their tables."""
 
@@ -279,8 +259,8 @@ def loop_goal(table: GoalTable) -> LoopGoal:
     for name in _OF_METRICS:
         if name in table.model_fields_set:
             raise InputError(problem, key=f"{key}.{name}", remedy="leave it out, or drop type")
-    check_known(table.type, _TYPES, "is not a type of goal", key=f"{key}.type")
-    allowed, kind = LOOP_GOAL_KEYS[str(table.type)], _TYPES[str(table.type)]
+    check_known(table.type, TYPES, "is not a type of goal", key=f"{key}.type")
+    allowed, kind = LOOP_GOAL_KEYS[str(table.type)], TYPES[str(table.type)]
     for name in sorted(table.model_fields_set - _COMMON - allowed):
         known = ", ".join(sorted(_SHOWN.get(one, one) for one in allowed))
         raise InputError(problem, key=f"{key}.{_SHOWN.get(name, name)}", remedy=f"it has: {known}")
@@ -441,7 +421,6 @@ _ACTIVE = 0.01
 """Share of time at a limit above which a step response of the linear loop does not describe a run."""
 
 _STEP_METRICS = ("settling_time_s.", "overshoot.")
-_STEPS = (Overshoot, Settling, StepRejection, StepTracking)
 
 
 def not_representative(
@@ -458,7 +437,7 @@ def not_representative(
     names = [
         goal.name
         for goal in goals
-        if goal.metric.startswith(_STEP_METRICS) or isinstance(getattr(goal, "loop", None), _STEPS)
+        if goal.metric.startswith(_STEP_METRICS) or isinstance(getattr(goal, "loop", None), STEPS)
     ]
     limited = after.figures.get("limited_share")
     if not names or limited is None or not limited.value > _ACTIVE:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -473,3 +473,13 @@ def _returns(value: Array, final: float) -> bool:
 
 def _flat(time: Array, level: float) -> Array:
     return np.full(len(time), level)
+
+
+STEPS = (Overshoot, Settling, StepTracking, StepRejection)
+"""Goals about a step response."""
+
+TYPES: Mapping[str, type[LoopGoal]] = {
+    kind.TYPE: kind
+    for kind in (LoopShape, SensitivityBound, Rejection, MaxGain, Effort, Tracking, *STEPS, Poles, Margins)
+}
+"""Types of goals about the loop, by the name in a goals file."""

@@ -27,9 +27,9 @@ from surctl.marine.control import (
 )
 from surctl.marine.sensing import OwnState, SonarArray
 from surctl.marine.sensing.sonar.returns import echo_keys, echo_number
+from surctl.marine.simulation.batch.case import law_numbers
 from surctl.marine.simulation.loop import Stepper
 from surctl.marine.simulation.metrics import GONE, LINK_LOST, STANDSTILL, STOPPED_LIMIT
-from surctl.marine.simulation.numbers import law_numbers
 from surctl.marine.simulation.physics import OwnPhysics, PhysicsMaker
 from surctl.marine.simulation.run import SENSING, Record, Run, Sensing
 from surctl.marine.simulation.scenario import Scenario, check_spacing

@@ -10,7 +10,7 @@ import numpy as np
 from surctl.marine.control import load_gains
 from surctl.marine.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
 from surctl.marine.simulation import Case, Sensors, load_scenario, simulate_batch
-from surctl.marine.simulation.batch.engines import compiled_loop, pack, structure_of
+from surctl.marine.simulation.batch.engines import Packed, compiled_loop, structure_of
 from surctl.marine.simulation.batch.loop import build_loop
 from surctl.marine.vehicle import load_vehicle
 from tests.oracles.mission_loop import simulate as in_numpy
@@ -53,7 +53,7 @@ def test_the_compiled_loop_hears_what_the_reference_hears() -> None:
     need_compiler()
     run = in_numpy(SCENARIO, CASE.vehicle, gains=CASE.gains, law=CASE.build(), sensing="sonar", seed=5)
     loop = build_loop(structure_of(CASE, {}))
-    packed = pack(CASE, loop, {}, np.array([5, 6]))
+    packed = Packed(CASE, loop, {}, np.array([5, 6]))
     final = compiled_loop(loop.structure).run(packed.state, packed.parameters, steps=packed.steps - 1)
     states = final[:, loop.state.slice("law")]
     for port in loop.law.state:

@@ -20,9 +20,9 @@ from surctl.marine.simulation import (
     simulate,
     simulate_batch,
 )
+from surctl.marine.simulation.batch.case import fed_ranges
 from surctl.marine.simulation.batch.engines import structure_of
 from surctl.marine.simulation.batch.loop import build_loop
-from surctl.marine.simulation.numbers import fed_ranges
 from surctl.marine.simulation.scenario import scenario_from_table
 from surctl.marine.vehicle import load_vehicle
 from tests.oracles.mission_loop import simulate as reference

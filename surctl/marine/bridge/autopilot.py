@@ -229,10 +229,6 @@ class SimulatedSub:
         )
         return [attitude, self._frame(self.system_id, "local_position_ned", boot, north, east, down, *velocity)]
 
-    def _other(self, number: int) -> int:
-        # system id of a moving obstacle; ids end at 255 and begin at 1
-        return (self.system_id + _FIRST_OTHER + number - 1) % 255 + 1
-
     def _obstacles(self, now: float) -> list[bytes]:
         there = {b.name: b for b in self.bodies(now) if b.moving}
         frames = []
@@ -244,7 +240,8 @@ class SimulatedSub:
                 assert isinstance(shape, Disc)
                 place = self.site.to_ned([*shape.center, self.scenario.depth, 0.0])
                 numbers = [*place[:3].tolist(), *self.site.velocity([*v, 0.0]).tolist()]
-            frames.append(self._frame(self._other(k), "local_position_ned", int(now * 1000), *numbers))
+            system = (self.system_id + _FIRST_OTHER + k - 1) % 255 + 1  # ids end at 255 and begin at 1
+            frames.append(self._frame(system, "local_position_ned", int(now * 1000), *numbers))
         return frames
 
     def _ranges(self, now: float, boot: int) -> list[bytes]:

@@ -143,7 +143,7 @@ class Bridge:
         self.arrived = False
         self._takes: dict[type, Callable[[Any, float], None]] = {
             Beat: self._beat,
-            Reply: self._reply,
+            Reply: lambda event, now: self._set_clock(self.clock.reply(now, sent=event.sent, boot=event.boot)),
             Position: self._position,
             Attitude: partial(self._own, self.inputs.attitude),
             Ranges: self._ranges,
@@ -265,9 +265,6 @@ class Bridge:
             self._began = self.arrived = False
             self.follower = self.plan.scenario.follower()
         self._changed(before, now)
-
-    def _reply(self, event: Reply, now: float) -> None:
-        self._set_clock(self.clock.reply(now, sent=event.sent, boot=event.boot))
 
     def _set_clock(self, clock: Clock) -> None:
         if clock.restarts != self.clock.restarts:

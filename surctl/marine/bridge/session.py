@@ -166,7 +166,7 @@ def after_beat(session: Session, now: float, *, armed: bool, mode: int, steering
         known = replace(known, permitted=False)
         if known.phase in ("steering", "holding", "arrived"):
             return known.to("released", now, "disarmed")
-        return known if known.phase == "released" and known.why == "disarmed" else _idle(known, now)
+        return known.to("ready", now, "not armed") if known.phase == "ready" else known
     if was is False:
         known = replace(known, permitted=True, refused=None)
         if known.phase in ("released", "arrived"):
@@ -176,10 +176,6 @@ def after_beat(session: Session, now: float, *, armed: bool, mode: int, steering
         if known.phase in ("steering", "holding", "arrived"):
             return known.to("released", now, "the operator changed the mode")
     return known
-
-
-def _idle(session: Session, now: float) -> Session:
-    return session.to("ready", now, "not armed") if session.phase == "ready" else session
 
 
 def after_estimate(session: Session, measured: float) -> Session:

@@ -2,108 +2,90 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
+from dataclasses import dataclass
+from math import radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from surctl.cli.output import FOLDER, Count, FiniteRange, Stopped, as_json, finish, progress, waiting
+from surctl.cli.options import FOLDER, Count, FiniteRange, changed, option, options
+from surctl.cli.output import Stopped, as_json, finish, progress, waiting
 from surctl.errors import InputError, SurctlError, check_known
-from surctl.marine.cli.robot_options import GAINS_HELP, choose_gains, choose_law, law_option
-
-if TYPE_CHECKING:
-    from surctl.marine.bridge import Act, Bridge, LinkQuality, RehearsalResult
-    from surctl.marine.bridge.live import Address
-    from surctl.marine.simulation import Scenario
+from surctl.marine.cli import lib
+from surctl.marine.cli.robot_options import RobotOptions, choose_gains, choose_law, choose_vehicle
 
 _SYSTEM = click.IntRange(1, 255)
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class _Link:
+    """How surctl meets the autopilot, or the simulated one of a rehearsal."""
+
+    mavlink: str | None = option(
+        "--mavlink", "Link to the autopilot: udp:HOST:PORT (listen) or udpout:HOST:PORT (send).", metavar="URL"
+    )
+    dry_run: bool = option("--dry-run", "Rehearse with a simulated autopilot, in simulated time.", False)
+    mode: str = option(
+        "--mode",
+        "Mode of the autopilot in which surctl steers: alt_hold (default), manual or guided.",
+        "alt_hold",
+        metavar="NAME",
+    )
+    send: str = option(
+        "--send",
+        "MAVLink message for thrust: rc (channel overrides, default) or manual (MANUAL_CONTROL).",
+        "rc",
+        metavar="NAME",
+    )
+    origin: str = option(
+        "--origin",
+        "Origin of the autopilot's coordinates: X,Y in the scenario [m], and compass direction [deg] of the "
+        "scenario's x axis (default 0,0,90).",
+        "0,0,90",
+        metavar="X,Y,DEG",
+    )
+    yaw_rate: float = option(
+        "--yaw-rate",
+        "Yaw rate of the vehicle at full stick [deg/s] (default 45).",
+        45.0,
+        type=FiniteRange(min=1.0, max=360.0),
+        metavar="DEG/S",
+    )
+    target: int = option("--target", "MAVLink system id of the autopilot (default 1).", 1, type=_SYSTEM, metavar="N")
+    system: int = option("--system", "MAVLink system id of surctl fly (default 255).", 255, type=_SYSTEM, metavar="N")
+    loss: float = option(
+        "--loss",
+        "Rehearsal: probability that a message is lost (default 0).",
+        0.0,
+        type=FiniteRange(0.0, 1.0),
+        metavar="P",
+    )
+    delay: float = option(
+        "--delay",
+        "Rehearsal: delay of each message [s] (default 0).",
+        0.0,
+        type=FiniteRange(0.0, 60.0),
+        metavar="S",
+    )
+    acts: tuple[str, ...] = option(
+        "--act",
+        "Rehearsal: event ACT at time S [s], repeatable: arm, disarm, a mode of --mode, reboot (of the autopilot), "
+        "cut (no link), blind (no position), join (ends cut and blind) or quit (surctl fly is killed).",
+        (),
+        metavar="S:ACT",
+    )
+    seed: int = option("--seed", "Rehearsal: seed of the message loss (default 0).", 0, type=Count(0))
+
+
 @click.command
 @click.argument("scenario")
-@click.option(
-    "--mavlink", metavar="URL", help="Link to the autopilot: udp:HOST:PORT (listen) or udpout:HOST:PORT (send)."
-)
-@click.option("--dry-run", is_flag=True, help="Rehearse with a simulated autopilot, in simulated time.")
-@click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
-@click.option("--gains", metavar="FILE", help=GAINS_HELP)
-@law_option
-@click.option("--sensing", default="truth", metavar="NAME", help="Obstacles: true positions (truth, default) or sonar.")
-@click.option(
-    "--mode",
-    default="alt_hold",
-    metavar="NAME",
-    help="Mode of the autopilot in which surctl steers: alt_hold (default), manual or guided.",
-)
-@click.option(
-    "--send",
-    default="rc",
-    metavar="NAME",
-    help="MAVLink message for thrust: rc (channel overrides, default) or manual (MANUAL_CONTROL).",
-)
-@click.option(
-    "--origin",
-    default="0,0,90",
-    metavar="X,Y,DEG",
-    help="Origin of the autopilot's coordinates: X,Y in the scenario [m], and compass direction [deg] of the "
-    "scenario's x axis (default 0,0,90).",
-)
-@click.option(
-    "--yaw-rate",
-    type=FiniteRange(min=1.0, max=360.0),
-    default=45.0,
-    metavar="DEG/S",
-    help="Yaw rate of the vehicle at full stick [deg/s] (default 45).",
-)
-@click.option("--target", type=_SYSTEM, default=1, metavar="N", help="MAVLink system id of the autopilot (default 1).")
-@click.option("--system", type=_SYSTEM, default=255, metavar="N", help="MAVLink system id of surctl fly (default 255).")
-@click.option(
-    "--loss",
-    type=FiniteRange(0.0, 1.0),
-    default=0.0,
-    metavar="P",
-    help="Rehearsal: probability that a message is lost (default 0).",
-)
-@click.option(
-    "--delay",
-    type=FiniteRange(0.0, 60.0),
-    default=0.0,
-    metavar="S",
-    help="Rehearsal: delay of each message [s] (default 0).",
-)
-@click.option(
-    "--act",
-    "acts",
-    multiple=True,
-    metavar="S:ACT",
-    help="Rehearsal: event ACT at time S [s], repeatable: arm, disarm, a mode of --mode, reboot (of the autopilot), "
-    "cut (no link), blind (no position), join (ends cut and blind) or quit (surctl fly is killed).",
-)
-@click.option("--seed", type=Count(0), default=0, help="Rehearsal: seed of the message loss (default 0).")
+@options(robot=RobotOptions, link=_Link, only={"robot": ("vehicle", "gains", "law", "sensing")})
 @click.option("--out", type=FOLDER, help="Folder for the record (default surctl-out/fly; in a rehearsal, none).")
 @as_json
-def fly(
-    scenario: str,
-    mavlink: str | None,
-    dry_run: bool,
-    vehicle: str | None,
-    gains: str | None,
-    law: str | None,
-    sensing: str,
-    mode: str,
-    send: str,
-    origin: str,
-    yaw_rate: float,
-    target: int,
-    system: int,
-    loss: float,
-    delay: float,
-    acts: tuple[str, ...],
-    seed: int,
-    out: Path | None,
-    as_json: bool,
-) -> None:
+def fly(scenario: str, robot: RobotOptions, link: _Link, out: Path | None, as_json: bool) -> None:
     """Steer a vehicle whose autopilot is ArduSub along the path of a scenario by an exported law, over MAVLink.
 
     surctl fly steers only after the operator arms the vehicle in the mode of --mode, and never arms the vehicle. If the
@@ -113,61 +95,45 @@ def fly(
 
     Examples: surctl fly tank-speed-015 --dry-run; surctl fly tank-speed-015 --mavlink udp:0.0.0.0:14550
     """
-    from math import radians
-
-    from surctl.files import prepare_folder
-    from surctl.marine.bridge import Bridge, LinkQuality, Wire
-    from surctl.marine.bridge.bridge import plan_session
-    from surctl.marine.bridge.inputs import parse_site
-    from surctl.marine.bridge.live import parse_address
-    from surctl.marine.bridge.wire import mode_of
-    from surctl.marine.cli.robot_options import choose_vehicle
-    from surctl.marine.control import law_source
-    from surctl.marine.simulation import SENSING, load_scenario
-    from surctl.marine.vehicle import load_vehicle
-
-    if (mavlink is None) == (not dry_run):
+    if (link.mavlink is None) == (not link.dry_run):
         raise InputError("needs one of --mavlink and --dry-run", key="surctl fly", remedy="begin with --dry-run")
-    alone = [key for key, value in (("--loss", loss), ("--delay", delay), ("--act", acts)) if value and not dry_run]
-    if alone:
+    alone = [name for name in changed(link) if name in ("--loss", "--delay", "--act")]
+    if alone and not link.dry_run:
         raise InputError("is only for a rehearsal", key=alone[0], remedy="add --dry-run, and leave out --mavlink")
-    if target == system:
-        raise InputError(
-            "is the system id of the bridge", key="--target", value=target, remedy="give two different ids"
-        )
-    check_known(sensing, SENSING, key="--sensing")
-    address = None if mavlink is None else parse_address(mavlink)
-    mode_of(mode)
-    site, wire, script = (
-        parse_site(origin),
-        Wire(target=target, system=system, send=send),
-        [_act(text) for text in acts],
-    )
-    mission = load_scenario(scenario)
-    choice = choose_vehicle(vehicle, (mission.name, mission.vehicle))
-    robot = load_vehicle(choice.word)
-    reference, lines = choose_law(law, [robot])
-    tuned = choose_gains(gains, robot, cruise=mission.cruise, own=law_source(reference).gains)
+    if link.target == link.system:
+        remedy = "give two different ids"
+        raise InputError("is the system id of the bridge", key="--target", value=link.target, remedy=remedy)
+    check_known(robot.sensing, lib.SENSING, key="--sensing")
+    address = None if link.mavlink is None else lib.parse_address(link.mavlink)
+    lib.mode_of(link.mode)
+    wire, script = lib.Wire(target=link.target, system=link.system, send=link.send), [_act(text) for text in link.acts]
+    site = lib.parse_site(link.origin)
+    mission = lib.load_scenario(scenario)
+    choice = choose_vehicle(robot.vehicle, (mission.name, mission.vehicle))
+    vehicle = lib.load_vehicle(choice.word)
+    reference, lines = choose_law(robot.law, [vehicle])
+    tuned = choose_gains(robot.gains, vehicle, cruise=mission.cruise, own=lib.law_source(reference).gains)
     progress("building and compiling the law")
-    plan = plan_session(
+    plan = lib.plan_session(
         mission,
-        robot,
+        vehicle,
         gains=tuned.gains,
         law=reference,
-        sonar=sensing == "sonar",
-        mode=mode,
+        sonar=robot.sensing == "sonar",
+        mode=link.mode,
         site=site,
-        full_rate=radians(yaw_rate),
+        full_rate=radians(link.yaw_rate),
     )
-    bridge = Bridge(plan, wire)
-    lines += [choice.line(robot.name), *tuned.lines]
-    lines.append(f"controller {plan.controller.bundle.id[:12]}; mode {mode}: {plan.mapping.mode.what}")
+    bridge = lib.Bridge(plan, wire)
+    lines += [choice.line(vehicle.name), *tuned.lines]
+    lines.append(f"controller {plan.controller.bundle.id[:12]}; mode {link.mode}: {plan.mapping.mode.what}")
     if out is not None or address is not None:
         out = out or Path("surctl-out", "fly")
-        prepare_folder(out)
+        lib.prepare_folder(out)
     if address is None:
-        result = _rehearsed(bridge, LinkQuality(loss=loss, delay=delay), script, out=out, seed=seed)
-        files = [] if out is None else sorted(str(path) for path in out.glob(f"{_stem(mission, seed)}.*"))
+        quality = lib.LinkQuality(loss=link.loss, delay=link.delay)
+        result = _rehearsed(bridge, quality, script, out=out, seed=link.seed)
+        files = [] if out is None else sorted(str(path) for path in out.glob(f"{_stem(mission, link.seed)}.*"))
         lines += [f"{at:8.2f} s  {text}" for at, text in result.texts] + [_summary(result), *files]
         passed, brief = result.arrived and not result.touched, [_summary(result), *(text for _, text in result.texts)]
         data, where = _data(result) | {"files": files}, [] if out is None else [f"record {out}"]
@@ -180,19 +146,14 @@ def fly(
     finish({"arrived": arrived, "files": files}, lines, as_json=as_json, passed=arrived)
 
 
-def _live(bridge: Bridge, address: Address, out: Path) -> tuple[bool, list[str]]:
-    import time
-
-    from surctl.marine.bridge import Ended, SessionRecord
-    from surctl.marine.bridge.live import run_session
-
+def _live(bridge: lib.Bridge, address: lib.Address, out: Path) -> tuple[bool, list[str]]:
     waiting()
-    with SessionRecord(out, f"session-{time.strftime('%Y%m%d-%H%M%S')}", bridge) as record:
+    with lib.SessionRecord(out, f"session-{time.strftime('%Y%m%d-%H%M%S')}", bridge) as record:
         files = [str(path) for path in record.files]
         try:
-            return run_session(bridge, address, log=record, said=progress), files
-        except (KeyboardInterrupt, Ended) as end:
-            why = f" ({end})" if isinstance(end, Ended) else ""
+            return lib.run_session(bridge, address, log=record, said=progress), files
+        except (KeyboardInterrupt, lib.Ended) as end:
+            why = f" ({end})" if isinstance(end, lib.Ended) else ""
             raise Stopped(f"the session ended{why}, the last commands were neutral; record {files[1]}") from None
         except OSError as error:
             raise SurctlError(
@@ -201,13 +162,10 @@ def _live(bridge: Bridge, address: Address, out: Path) -> tuple[bool, list[str]]
 
 
 def _rehearsed(
-    bridge: Bridge, quality: LinkQuality, script: Sequence[Act], *, out: Path | None, seed: int
-) -> RehearsalResult:
-    from surctl.marine.bridge import SessionRecord, SimulatedSub
-    from surctl.marine.bridge.rehearsal import rehearse
-
+    bridge: lib.Bridge, quality: lib.LinkQuality, script: Sequence[lib.Act], *, out: Path | None, seed: int
+) -> lib.RehearsalResult:
     plan = bridge.plan
-    sub = SimulatedSub(
+    sub = lib.SimulatedSub(
         plan.scenario,
         plan.vehicle,
         site=plan.site,
@@ -219,20 +177,16 @@ def _rehearsed(
     )
     sub.mode = plan.mapping.mode.name
     if out is None:
-        return rehearse(bridge, sub, link=quality, seed=seed, acts=script)
-    with SessionRecord(out, _stem(plan.scenario, seed), bridge, epoch=0.0, new=False) as record:
-        return rehearse(bridge, sub, link=quality, seed=seed, acts=script, log=record)
+        return lib.rehearse(bridge, sub, link=quality, seed=seed, acts=script)
+    with lib.SessionRecord(out, _stem(plan.scenario, seed), bridge, epoch=0.0, new=False) as record:
+        return lib.rehearse(bridge, sub, link=quality, seed=seed, acts=script, log=record)
 
 
-def _stem(mission: Scenario, seed: int) -> str:
-    from surctl.files import file_name
-
-    return f"rehearsal-{file_name(mission.name)}-{seed}"
+def _stem(mission: lib.Scenario, seed: int) -> str:
+    return f"rehearsal-{lib.file_name(mission.name)}-{seed}"
 
 
-def _act(text: str) -> Act:
-    from surctl.marine.bridge.rehearsal import ACTIONS, Act
-
+def _act(text: str) -> lib.Act:
     at, _, action = text.partition(":")
     try:
         time = float(at)
@@ -240,11 +194,11 @@ def _act(text: str) -> Act:
         time = -1.0
     if not 0.0 <= time <= 1e5:
         raise InputError("does not begin with a time", key="--act", value=text, remedy="write 20:reboot")
-    check_known(action, ACTIONS, key="--act")
-    return Act(time, ACTIONS[ACTIONS.index(action)])
+    check_known(action, lib.ACTIONS, key="--act")
+    return lib.Act(time, lib.ACTIONS[lib.ACTIONS.index(action)])
 
 
-def _summary(result: RehearsalResult) -> str:
+def _summary(result: lib.RehearsalResult) -> str:
     time = result.time if result.arrived else result.steered
     end = "arrived after" if result.arrived else "did not arrive; steered for"
     touched = ", but touched an obstacle or wall" if result.touched else ""
@@ -256,7 +210,7 @@ def _summary(result: RehearsalResult) -> str:
     return text
 
 
-def _data(result: RehearsalResult) -> dict[str, Any]:
+def _data(result: lib.RehearsalResult) -> dict[str, Any]:
     return {
         "arrived": result.arrived,
         "time_s": result.time,

@@ -5,70 +5,33 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from surctl.cli.output import Count, collected, prepare_out
+from surctl.cli.options import FILE, options
+from surctl.cli.output import prepare_out
 from surctl.cli.simulate import Ran, check_save, conduct_runs
 from surctl.errors import InputError
-from surctl.marine.cli.robot_options import (
-    GAINS_HELP,
-    RobotOptions,
-    barrier_options,
-    choose_gains,
-    choose_law,
-    choose_vehicle,
-    form_options,
-    law_option,
-    priority_options,
-    trust_option,
-)
-from surctl.marine.cli.run_options import (
-    ControllerOptions,
-    PlantOptions,
-    animate_option,
-    check_animate,
-    controller_options,
-    plant_options,
-)
-from surctl.marine.cli.runs import (
-    CampaignOptions,
-    RunOutput,
-    campaign_options,
-    series_lines,
-    simulate_again,
-)
-from surctl.marine.cli.sensor_options import SensorOptions, sensor_data, sensor_options, simulated_echoes, split_faults
-
-if TYPE_CHECKING:
-    from surctl.marine.control import Law
-    from surctl.marine.simulation import Case
+from surctl.marine.cli import lib
+from surctl.marine.cli.robot_options import TRUST, RobotOptions, choose_gains, choose_law, choose_vehicle
+from surctl.marine.cli.run_options import ControllerOptions, PlantOptions, check_animate
+from surctl.marine.cli.runs import CampaignOptions, RunOutput, series_lines, simulate_again
+from surctl.marine.cli.sensor_options import SensorOptions, sensor_data, split_faults
 
 
 @click.command
 @click.argument("words", nargs=-1, metavar="SCENARIO...")
-@click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: that of the scenario).")
-@click.option("--gains", metavar="FILE", help=GAINS_HELP)
-@law_option
-@form_options
-@priority_options
-@click.option("--sensing", default="truth", metavar="NAME", help="Obstacles: true positions (truth, default) or sonar.")
-@barrier_options
-@sensor_options
-@simulated_echoes
-@controller_options
-@plant_options
-@click.option("--seed", type=Count(0), default=0, help="Seed of the first run (default 0).")
-@click.option("--runs", type=Count(1), default=1, help="Runs per scenario, one for each seed (default 1).")
-@click.option("--explain", "explained", is_flag=True, help="Print which limits override tasks of the law, and when.")
-@animate_option
-@click.option("--frame", metavar="NAME", help="Axes in the files of --save: enu (default) or ned.")
-@campaign_options
-@trust_option
-@collected(
-    robot=RobotOptions, sensors=SensorOptions, link=ControllerOptions, physics=PlantOptions, campaign=CampaignOptions
+@options(
+    robot=RobotOptions,
+    sensors=SensorOptions,
+    link=ControllerOptions,
+    physics=PlantOptions,
+    campaign=CampaignOptions,
+    show=RunOutput,
 )
+@click.option("--from", "replayed", type=FILE, help="Repeat a worst run that a campaign saved as FILE.")
+@click.option("--trust", is_flag=True, help=TRUST)
 def simulate(
     words: tuple[str, ...],
     robot: RobotOptions,
@@ -76,24 +39,18 @@ def simulate(
     link: ControllerOptions,
     physics: PlantOptions,
     campaign: CampaignOptions,
-    seed: int,
-    runs: int,
-    explained: bool,
-    animate: Path | None,
-    save: str | None,
-    frame: str | None,
+    show: RunOutput,
     replayed: Path | None,
     trust: bool,
-    out: Path | None,
     as_json: bool,
 ) -> None:
     """Simulate scenarios, or a system of your own. Exit status: 1 if a run collides or does not arrive.
     Example: surctl simulate tank-static --runs 9
     """
     link.check(campaign=campaign.any or replayed is not None)
+    out, runs, seed = show.out, campaign.runs, campaign.seed
     count = 1 if replayed is not None else runs * len(words)
-    check_animate(animate, runs=count, campaign=campaign.any and replayed is None, film=physics.film)
-    show = RunOutput(out, save, frame or "enu", explained, animate)
+    check_animate(show.animate, runs=count, campaign=campaign.any and replayed is None, film=physics.film)
     if replayed is not None:
         simulate_again(replayed, show, trust=trust, as_json=as_json)
     if trust:
@@ -103,31 +60,26 @@ def simulate(
     physics = replace(physics, threads=None) if campaign.any else physics
     engine = physics.check(campaign=campaign.any, runs=count, controller=link.controller, sensing=sensed)
     apart = replace(campaign, threads=None) if engine is not None else campaign
-    apart.check(scenarios=words, runs=runs, explained=explained, out=out)
-    _check_fallback(robot.fallback, mode=robot.priority_mode, explained=explained, campaign=campaign.any)
-    from surctl.files import prepare_folder
-    from surctl.marine.control import law_source, load_gains
-    from surctl.marine.simulation import load_scenario
-    from surctl.marine.vehicle import load_vehicle
-
-    _check_save(save, frame, out=out, campaign=campaign.any)
+    apart.check(scenarios=words, explained=show.explained, out=out)
+    _check_fallback(robot.fallback, mode=robot.priority_mode, explained=show.explained, campaign=campaign.any)
+    _check_save(show, campaign=campaign.any)
     if out is not None:
-        (prepare_folder if campaign.any else prepare_out)(out)
-    names = [load_scenario(name).vehicle for name in words] if robot.vehicle is None else [robot.vehicle]
-    law, above = choose_law(robot.law, [load_vehicle(name) for name in names])
-    own = law_source(law).gains
+        (lib.prepare_folder if campaign.any else prepare_out)(out)
+    names = [lib.load_scenario(name).vehicle for name in words] if robot.vehicle is None else [robot.vehicle]
+    law, above = choose_law(robot.law, [lib.load_vehicle(name) for name in names])
+    own = lib.law_source(law).gains
     if robot.gains is not None:
-        load_gains(robot.gains, own=own)  # reports a mistake before anything is built
+        lib.load_gains(robot.gains, own=own)  # reports a mistake before anything is built
     alone = "simulate without --monte-carlo and --random-worlds" if campaign.any else None
     faults, broken = split_faults(sensors.faults, refused=alone)
     sensors = replace(sensors, faults=faults)
     sensors.check(sensing=sensed)
     if campaign.any:
-        plans = campaign.plans(words, robot, sensors, law=law, seed=seed)
-        campaign.run(plans, above, vehicle=robot.vehicle, runs=campaign.worlds or runs, out=out, as_json=as_json)
-    missions = [sensors.over(load_scenario(name)) for name in words]
+        plans = campaign.plans(words, robot, sensors, law=law)
+        campaign.run(plans, above, vehicle=robot.vehicle, out=out, as_json=as_json)
+    missions = [sensors.over(lib.load_scenario(name)) for name in words]
     choices = [choose_vehicle(robot.vehicle, (scenario.name, scenario.vehicle)) for scenario in missions]
-    vehicles = [load_vehicle(choice.word) for choice in choices]
+    vehicles = [lib.load_vehicle(choice.word) for choice in choices]
     physics.fit(engine, vehicles)
     speeds = [scenario.cruise for scenario in missions]
     tuned = [choose_gains(robot.gains, v, cruise=u, own=own) for v, u in zip(vehicles, speeds, strict=True)]
@@ -135,7 +87,7 @@ def simulate(
     # built after the other checks, because it takes a second
     laws, gone = [case.build(robot.fallback) for case in cases], list[str]()
 
-    def simulated(case: Case, built: Law, common: dict[str, Any]) -> Iterator[Ran]:
+    def simulated(case: lib.Case, built: lib.Law, common: dict[str, Any]) -> Iterator[Ran]:
         with link.opened(case, built) as linked:
             for run, report in physics.runs(
                 engine, case, built, range(seed, seed + runs), fallback=robot.fallback, faults=tuple(broken),
@@ -156,32 +108,28 @@ def simulate(
 
     conduct_runs(
         each_case(), out=out, as_json=as_json, single=count == 1, above=above,
-        series=lambda several: [*series_lines(several), *gone], short=runs > 1 and out is None and not explained,
+        series=lambda several: [*series_lines(several), *gone], short=runs > 1 and out is None and not show.explained,
     )  # fmt: skip
 
 
 def _check_fallback(fallback: str, *, mode: str, explained: bool, campaign: bool) -> None:
     if fallback == "exact":
         return
-    from surctl.priority import check_fallback
-
-    check_fallback(fallback, mode=mode)
+    lib.check_fallback(fallback, mode=mode)
     if campaign:
         raise InputError("applies only to single runs", key="--fallback", value=fallback, remedy="drop --monte-carlo")
     if explained:
         raise InputError("cannot be explained", key="--fallback", value=fallback, remedy="drop --explain")
 
 
-def _check_save(save: str | None, frame: str | None, *, out: Path | None, campaign: bool) -> None:
-    from surctl.marine.simulation import RUN_FORMATS
-    from surctl.marine.vehicle.motion_log import check_frame
-
+def _check_save(show: RunOutput, *, campaign: bool) -> None:
+    save, frame = show.save, show.frame
     if frame is not None:
-        check_frame(frame, key="--frame")
+        lib.check_frame(frame, key="--frame")
         if save is None:
             raise InputError("needs --save", key="--frame", value=frame, remedy="add --save csv, mat, nc or mcap")
     if save is not None and campaign:
         raise InputError("cannot be combined with a campaign", key="--save", remedy="use the campaign's file runs.csv")
-    check_save(save, RUN_FORMATS, out=out)
+    check_save(save, lib.RUN_FORMATS, out=show.out)
     if save == "mcap" and frame == "ned":
         raise InputError("is not a frame of Foxglove", key="--frame", value=frame, remedy="use enu for mcap")

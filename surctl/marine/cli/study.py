@@ -4,47 +4,45 @@ from __future__ import annotations
 
 import math
 import shlex
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from surctl.cli.options import option, options
 from surctl.cli.output import progress, refusal_line, saving
 from surctl.cli.study import conduct_study
+from surctl.marine.cli import lib
 from surctl.marine.cli.claims import claim_line
-from surctl.marine.cli.robot_options import SPEEDS, at_hand, derive_words, law_words, margin_of_all, trust_option
+from surctl.marine.cli.robot_options import SPEEDS, TRUST, at_hand, derive_words, law_words, margin_of_all
 
-if TYPE_CHECKING:
-    from surctl.assessment import Assessment
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Options:
+    """What is studied; None: as the study file, or the built-in study, has it."""
+
+    vehicle: str | None = option(
+        "--vehicle",
+        "Vehicle (name or file) of the built-in study; a large vehicle gets larger missions.",
+        metavar="FILE",
+    )
+    gains: str | None = option(
+        "--gains", "Gain set to study: name or file (default: the best of its sweep).", metavar="FILE"
+    )
+    cruise: tuple[float, ...] | None = option(
+        "--cruise",
+        "Cruise speeds [m/s] of the loop margins; the worst margin counts (default: speeds of the missions).",
+        type=SPEEDS,
+        metavar="U1,U2,...",
+    )
+    film: bool = option("--film", "Show the run of the report also as a MuJoCo film.", False)
+    trust: bool = option("--trust", TRUST, False)
 
 
 @click.command
 @click.argument("words", nargs=-1, metavar="[FILE")
-@click.option(
-    "--vehicle",
-    metavar="FILE",
-    help="Vehicle (name or file) of the built-in study; a large vehicle gets larger missions.",
-)
-@click.option("--gains", metavar="FILE", help="Gain set to study: name or file (default: the best of its sweep).")
-@click.option(
-    "--cruise",
-    type=SPEEDS,
-    metavar="U1,U2,...",
-    help="Cruise speeds [m/s] of the loop margins; the worst margin counts (default: speeds of the missions).",
-)
-@click.option("--film", is_flag=True, help="Show the run of the report also as a MuJoCo film.")
-@trust_option
-def study(
-    words: tuple[str, ...],
-    out: Path,
-    workers: int,
-    vehicle: str | None,
-    gains: str | None,
-    cruise: tuple[float, ...] | None,
-    film: bool,
-    trust: bool,
-    as_json: bool,
-) -> None:
+@options(options=_Options)
+def study(words: tuple[str, ...], out: Path, workers: int, options: _Options, as_json: bool) -> None:
     """Sweep gains, select the best gains, verify the claims, simulate the scenarios, and export and check the C code.
 
     FILE is a study file or a vehicle file; without FILE, the built-in study runs. If a vehicle cannot sway, or fits
@@ -60,25 +58,18 @@ def study(
     """
     if len(words) > 1:
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
-    from surctl.ir.cache import find_compiler
-
-    find_compiler()  # before the imports and the plan, which take seconds
-    from surctl.marine.study import Study, load_plan
-
-    file = words[0] if words else None
-
+    lib.find_compiler()  # before the imports and the plan, which take seconds
+    file, vehicle, gains, cruise = words[0] if words else None, options.vehicle, options.gains, options.cruise
     chosen = [f"--vehicle {vehicle}"] if vehicle else [file] if file else []
     chosen += [f"--gains {gains}"] if gains else []
     chosen += [f"--cruise {','.join(f'{speed:g}' for speed in cruise)}"] if cruise else []
-    command = " ".join(["surctl study", *chosen, f"--out {out}", *["--film"] * film])
-    plan = load_plan(file, vehicle=vehicle, trust=trust)
+    command = " ".join(["surctl study", *chosen, f"--out {out}", *["--film"] * options.film])
+    plan = lib.load_plan(file, vehicle=vehicle, trust=options.trust)
     plan = plan if gains is None else plan.with_gains(gains)
     plan = plan if cruise is None else plan.at_speeds(cruise, key="--cruise")
-    if film:
-        from surctl.marine.engine.pictures import check_pictures
-
-        check_pictures()
-    study = Study(plan=plan, workers=workers, progress=progress, command=command, film=film, saving=saving)
+    if options.film:
+        lib.check_pictures()
+    study = lib.Study(plan=plan, workers=workers, progress=progress, command=command, film=options.film, saving=saving)
 
     def below() -> list[str]:
         margins, data = study.analysis.margins, study.data
@@ -90,7 +81,7 @@ def study(
     def then() -> list[str]:
         about = at_hand(study.plan.deciding[0].scenario, plan.vehicle, str(study.gain_file))
         cruise = None if plan.derivation is None else plan.derivation.cruise
-        tuning = ["surctl", "tune", *([file] if file else []), *(["--trust"] if trust else [])]
+        tuning = ["surctl", "tune", *([file] if file else []), *(["--trust"] if options.trust else [])]
         # a search about missions that the study has made for the vehicle has no study file
         search = [shlex.join(tuning)] if tunable(study.assessment) and not plan.unheard else []
         return [*changes(study.assessment, about[3], cruise), *search, shlex.join(_examined(plan.law, about))]
@@ -99,7 +90,7 @@ def study(
     conduct_study(study, out, above=above, below=below, then=then, as_json=as_json)
 
 
-def changes(assessment: Assessment, vehicle: str, cruise: float | None) -> list[str]:
+def changes(assessment: lib.Assessment, vehicle: str, cruise: float | None) -> list[str]:
     """Return the command that derives gains with the gain `margin` that is missing; nothing if none is.
 
     `cruise` is the speed [m/s] for which the assessed gains were derived, or None.
@@ -110,7 +101,7 @@ def changes(assessment: Assessment, vehicle: str, cruise: float | None) -> list[
     return [derive_words(vehicle, cruise, "gains.toml", margin=margin)]
 
 
-def tunable(assessment: Assessment) -> bool:
+def tunable(assessment: lib.Assessment) -> bool:
     """Return whether a search of gains can change the result: a no-contact margin is stated, not searched."""
     contact = assessment.parts.get("no contact")
     left = [line for line in assessment.lines if line.counts and line.passed is not True]
@@ -119,9 +110,7 @@ def tunable(assessment: Assessment) -> bool:
 
 def _examined(law: str, about: list[str]) -> list[str]:
     """Return the command that checks the gains: `verify`, or `simulate` if no analysis is about the law."""
-    from surctl.marine.control import law_source
-
     _, scenario, *others = about
     simulated = ["surctl", "simulate", scenario, *others, *law_words(law)]
-    source = law_source(law)
+    source = lib.law_source(law)
     return ["surctl", "verify", *about] if source.parts or source.steering is not None else simulated

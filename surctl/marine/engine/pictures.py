@@ -104,15 +104,12 @@ class Scene(Closeable):
     def picture(self, camera: str, moment: Moment) -> Picture:
         """Return a picture (height, width, 3) of a moment, by the camera `above`, `side` or `nose`."""
         check_known(camera, CAMERAS, key="camera")
-        self._pose(moment)
-        self._renderer.update_scene(self.data, camera=camera, scene_option=self._look)
-        draw(self._mujoco, self._renderer.scene, self._scenario, moment, lines=camera != "nose")
-        return np.array(self._renderer.render())
-
-    def _pose(self, moment: Moment) -> None:
         place(self.data, moment, self._mocap, self._heights, six=self._six)
         self._mujoco.mj_kinematics(self.model, self.data)
         self._mujoco.mj_camlight(self.model, self.data)
+        self._renderer.update_scene(self.data, camera=camera, scene_option=self._look)
+        draw(self._mujoco, self._renderer.scene, self._scenario, moment, lines=camera != "nose")
+        return np.array(self._renderer.render())
 
 
 def place(data: Any, moment: Moment, mocap: dict[str, int], heights: dict[str, float], *, six: bool) -> None:

@@ -110,17 +110,12 @@ def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = 
     if law.perception is not None and constants is not None:
         remedy = "set --sensing truth, or omit this option"
         raise InputError("are only for laws without perception", key="constant-gains", remedy=remedy)
-    if not closed:
-        single = in_real(law, real)
-        if constants is None:
-            return single
-        return ClosedForm(law, _without_gains(single.block, constants), Layout(()), np.array(constants, dtype=float))
-    if real == "float64" and constants is None:
+    if closed and real == "float64" and constants is None:
         return law
-    block = without_libm(law.stages.closed, real)
+    shipped = ClosedForm(law, without_libm(law.stages.closed, real), law.gains) if closed else in_real(law, real)
     if constants is None:
-        return ClosedForm(law, block, law.gains)
-    return ClosedForm(law, _without_gains(block, constants), Layout(()), np.array(constants, dtype=float))
+        return shipped
+    return ClosedForm(law, _without_gains(shipped.block, constants), Layout(()), np.array(constants, dtype=float))
 
 
 def _without_gains(block: Block, constants: Vector) -> Block:

@@ -34,9 +34,7 @@ from surctl.marine.report.plan_view import (
     body_middle,
     body_outline,
     box_corners,
-    describe,
-    draw_ends,
-    draw_site,
+    draw_ground,
 )
 from surctl.marine.simulation import Body, Run
 from surctl.marine.world import Box
@@ -174,7 +172,8 @@ def frames(run: Run) -> Iterator[Frame]:
     figure = new_figure(7.2, float(np.clip(6.6 * width / length + 2.9, 4.4, 8.4)))
     figure.set_dpi(100)
     plan, strip = figure.subplots(2, 1, height_ratios=[figure.get_figheight() - 2.3, 1.0])
-    _draw_plan(plan, run)
+    draw_ground(plan, run)
+    plan.plot(*run.record.eta[:, :2].T, color=ROBOT, linewidth=0.8, alpha=0.35, zorder=3)
     _draw_strip(strip, run)
     figure.legend(handles=_handles(run), loc="outside lower center", ncols=6, fontsize=8, frameon=False)
     heading = strip.set_title(" ", loc="left", fontsize=9.5, color=INK, parse_math=False)
@@ -190,18 +189,6 @@ def frames(run: Run) -> Iterator[Frame]:
                 artist.remove()
         picture = np.array(canvas.buffer_rgba())[..., :3]
         yield picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
-
-
-def _draw_plan(ax: Axes, run: Run) -> None:
-    length, width, _ = run.scenario.site
-    dress(ax, title=describe(run), x="x in {E} [m]", y="y in {E} [m]")
-    draw_site(ax, length, width)
-    points, track = run.scenario.path.waypoints, run.record.eta[:, :2]
-    ax.plot(points[:, 0], points[:, 1], color=INK, linestyle="--", linewidth=1.1, zorder=3)
-    ax.plot(track[:, 0], track[:, 1], color=ROBOT, linewidth=0.8, alpha=0.35, zorder=3)
-    draw_ends(ax, run)
-    rim = 0.03 * max(length, width)
-    ax.set(aspect="equal", xlim=(-rim, length + rim), ylim=(-rim, width + rim))
 
 
 def _draw_strip(ax: Axes, run: Run) -> None:

@@ -117,8 +117,7 @@ def plot_run(run: Run, ax: Axes | None = None) -> Axes:
     if ax is None:
         height = float(np.clip(7.6 * width / length + 1.5, 3.6, 7.6))
         ax = new_axes(9.0, height)
-    dress(ax, title=describe(run), x="x in {E} [m]", y="y in {E} [m]")
-    draw_site(ax, length, width)
+    draw_ground(ax, run)
     steps = _snapshots(run)
     _draw_obstacles(ax, run, steps)
     if run.sensing == "sonar":
@@ -126,12 +125,7 @@ def plot_run(run: Run, ax: Axes | None = None) -> Axes:
     _draw_track(ax, run)
     for k in steps:
         _draw_hull(ax, run, k)
-    draw_ends(ax, run)
     _add_legend(ax, run)
-    ax.set_aspect("equal")
-    rim = 0.03 * max(length, width)
-    ax.set_xlim(-rim, length + rim)
-    ax.set_ylim(-rim, width + rim)
     if alone:
         lay_out(ax)
     return ax
@@ -157,8 +151,10 @@ def _closest(run: Run) -> int:
     return int(np.argmin(nearest))
 
 
-def draw_site(ax: Axes, length: float, width: float) -> None:
-    """Draw the water of a site, length × width [m], and the solid ground around it."""
+def draw_ground(ax: Axes, run: Run) -> None:
+    """Draw the site with the solid ground around it, the path, its start and target, and where a run ended before."""
+    dress(ax, title=describe(run), x="x in {E} [m]", y="y in {E} [m]")
+    length, width, _ = run.scenario.site
     rim = 0.03 * max(length, width)
     frame = [(-rim, -rim), (length + rim, -rim), (length + rim, width + rim), (-rim, width + rim), (-rim, -rim)]
     water = [(0, 0), (0, width), (length, width), (length, 0), (0, 0)]
@@ -166,6 +162,16 @@ def draw_site(ax: Axes, length: float, width: float) -> None:
     solid = Outline(np.array(frame + water, dtype=float), [*codes, *codes])
     ax.add_patch(PathPatch(solid, facecolor="#E8EAED", edgecolor=MUTED, hatch="////", linewidth=0.0, zorder=0.5))
     ax.add_patch(Rectangle((0, 0), length, width, fill=False, edgecolor=INK, linewidth=1.4, zorder=0.6))
+    points = run.scenario.path.waypoints
+    ax.plot(points[:, 0], points[:, 1], color=INK, linestyle="--", linewidth=1.1, zorder=3)
+    x, y = run.scenario.start
+    ax.plot(x, y, marker="s", color=INK, markersize=6, markerfacecolor="white", zorder=5.5, linestyle="none")
+    x, y = run.scenario.target
+    ax.plot(x, y, marker="*", color=GOOD, markersize=13, markeredgecolor="white", zorder=5.5, linestyle="none")
+    if not run.metrics.reached:
+        x, y = run.record.eta[-1, :2]
+        ax.plot(x, y, marker="X", color=AVOIDING, markersize=11, markeredgecolor="white", zorder=6.5, linestyle="none")
+    ax.set(aspect="equal", xlim=(-rim, length + rim), ylim=(-rim, width + rim))
 
 
 def body_outline(shape: Shape) -> Patch:
@@ -244,8 +250,6 @@ def _label(ax: Axes, at: NDArray[np.float64], text: str, colour: str, ground: st
 
 def _draw_track(ax: Axes, run: Run) -> None:
     # the trajectory is highlighted where the law avoids
-    points = run.scenario.path.waypoints
-    ax.plot(points[:, 0], points[:, 1], color=INK, linestyle="--", linewidth=1.1, zorder=3)
     track = run.record.eta[:, :2]
     steps = np.stack([track[:-1], track[1:]], axis=1)
     avoiding = run.telemetry("avoiding")[:-1, 0] > 0.5
@@ -284,17 +288,6 @@ def _draw_beams(ax: Axes, run: Run, k: int) -> None:
             patch = body_outline(body.shape)
             patch.set(facecolor="none", edgecolor=INSTANT, linewidth=1.8, zorder=2.1)
             ax.add_patch(patch)
-
-
-def draw_ends(ax: Axes, run: Run) -> None:
-    """Mark the start, the target, and the end of a run that did not arrive."""
-    x, y = run.scenario.start
-    ax.plot(x, y, marker="s", color=INK, markersize=6, markerfacecolor="white", zorder=5.5, linestyle="none")
-    x, y = run.scenario.target
-    ax.plot(x, y, marker="*", color=GOOD, markersize=13, markeredgecolor="white", zorder=5.5, linestyle="none")
-    if not run.metrics.reached:
-        x, y = run.record.eta[-1, :2]
-        ax.plot(x, y, marker="X", color=AVOIDING, markersize=11, markeredgecolor="white", zorder=6.5, linestyle="none")
 
 
 def _add_legend(ax: Axes, run: Run) -> None:

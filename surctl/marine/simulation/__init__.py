@@ -6,14 +6,13 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.errors import Finding
-    from surctl.marine.simulation.batch.case import Case, vehicle_law
+    from surctl.marine.simulation.batch.case import Case, law_numbers, vehicle_law
     from surctl.marine.simulation.batch.engines import BatchResult, simulate_batch
     from surctl.marine.simulation.explanation import explain, priority_timeline
     from surctl.marine.simulation.fit import findings
     from surctl.marine.simulation.loop import simulate
     from surctl.marine.simulation.metrics import METRICS, STOPS, Metrics
     from surctl.marine.simulation.mission_system import mission_system
-    from surctl.marine.simulation.numbers import law_numbers
     from surctl.marine.simulation.obstacle import Obstacle
     from surctl.marine.simulation.physics import Contact, OwnPhysics, Physics
     from surctl.marine.simulation.plan_file import Mission

@@ -117,15 +117,11 @@ def _cell(point: _Field, xs: _Field, ys: _Field) -> _Cell:
     return int(np.argmin(np.abs(xs - point[0]))), int(np.argmin(np.abs(ys - point[1])))
 
 
-def _around(cell: _Cell, shape: tuple[int, ...]) -> list[_Cell]:
-    i, j = cell
-    near = [(i + a, j + b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
-    return [(a, b) for a, b in near if 0 <= a < shape[0] and 0 <= b < shape[1]]
-
-
 def _uphill(clear: _Field, cell: _Cell, clearance: float) -> _Cell:
     while clear[cell] < clearance:
-        best = max(_around(cell, clear.shape), key=clear.__getitem__)
+        near = [(cell[0] + a, cell[1] + b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
+        inside = [(i, j) for i, j in near if 0 <= i < clear.shape[0] and 0 <= j < clear.shape[1]]
+        best = max(inside, key=clear.__getitem__)
         if clear[best] <= clear[cell]:
             break
         cell = best

@@ -23,9 +23,9 @@ from surctl.ir.cache import cached_bytes
 from surctl.marine.control import NONFINITE, WORKING, Gains, Law, check_forces, law_options
 from surctl.marine.guidance import ROW
 from surctl.marine.simulation.batch.case import Case, vehicle_law
-from surctl.marine.simulation.batch.engines import loop_sources, pack, structure_of
+from surctl.marine.simulation.batch.engines import Packed, loop_sources, structure_of
 from surctl.marine.simulation.batch.loop import Loop, loop_of
-from surctl.marine.simulation.batch.structure import Mission, Structure
+from surctl.marine.simulation.batch.structure import ROWS, Structure
 from surctl.marine.simulation.metrics import (
     ABSENT,
     GONE,
@@ -107,7 +107,7 @@ def simulate(
     world = build_world(scenario, vehicle, seed=seed)
     array = scenario.sensors.array_on(world.hull)
     other = None if physics is OwnPhysics else physics(world, vehicle, array)
-    case = case_of(scenario, vehicle, gains=gains, law=law, sensing=sensing, model=model)
+    case = Case(scenario, vehicle, gains, law.ref, sensing=sensing, model=model, **law_options(law))
     run = SingleRun(case, law, seed=seed, measured=other is not None)
     firings = firing_plan(array)
     rows, fed, gone, before = list[tuple[object, ...]](), list[Vector](), 0, tuple[Contact, ...]()
@@ -148,7 +148,7 @@ def simulate(
         run.close(values, step)
         if run.state[0] > 0:
             break
-    stop = STOPS[int(run.value("stop"))]
+    stop = STOPS[int(run.state[run.loop.state.slice("stop")][0])]
     reason = LINK_LOST if gone and stop == "time limit" else stop
     # without those of the period after the last one
     contacts = before if other is None or stop != "time limit" else tuple(other.contacts)
@@ -156,19 +156,6 @@ def simulate(
         scenario, vehicle, run.gains, law, sensing, seed, run.metrics(reason), _record(world, run, rows, fed),
         stepper is not None, OwnPhysics.name if other is None else other.name, contacts,
     )  # fmt: skip
-
-
-def case_of(
-    scenario: Scenario,
-    vehicle: Vehicle,
-    *,
-    gains: Gains,
-    law: Law,
-    sensing: Sensing = "truth",
-    model: Vehicle | None = None,
-) -> Case:
-    """Return the case of a law that is built."""
-    return Case(scenario, vehicle, gains, law.ref, sensing=sensing, model=model, **law_options(law))
 
 
 def simulate_case(
@@ -199,19 +186,18 @@ def _record(world: World, run: SingleRun, rows: Sequence[tuple[object, ...]], fe
         np.array(status),
         np.array(telemetry),
         [world.bodies(at) for at in time],
-        np.array(fed) if run.mission else None,
+        np.array(fed) if run.fed else None,
         states[:, 12:14] if states.shape[1] > 12 else None,
     )
 
 
-class _Program:
-    """A program of the loop as a function of arrays by name."""
+_Program: TypeAlias = Callable[[Mapping[str, Vector]], Values]
 
-    def __init__(self, inputs: Sequence[str], outputs: Sequence[str], function: str) -> None:
-        self._inputs, self._outputs, self._run = inputs, outputs, on_vectors(ca.Function.deserialize(function))
 
-    def __call__(self, values: Mapping[str, Vector]) -> Values:
-        return dict(zip(self._outputs, self._run(*(values[name] for name in self._inputs)), strict=True))
+def _program(inputs: Sequence[str], outputs: Sequence[str], function: str) -> _Program:
+    # a program of the loop as a function of arrays by name
+    run = on_vectors(ca.Function.deserialize(function))
+    return lambda values: dict(zip(outputs, run(*(values[name] for name in inputs)), strict=True))
 
 
 @cache
@@ -233,7 +219,7 @@ def _programs(structure: Structure, law: Law, *, measured: bool) -> tuple[Loop, 
         stored = cached_bytes(hashlib.sha256(text.encode()).hexdigest(), ".single", build)
     except SurctlError:  # the source code is missing or changed since the import, so it cannot identify stored programs
         stored = build()
-    return loop, {name: _Program(*parts) for name, parts in json.loads(stored).items()}
+    return loop, {name: _program(*parts) for name, parts in json.loads(stored).items()}
 
 
 class SingleRun:
@@ -243,11 +229,11 @@ class SingleRun:
         # the thrusters are no part of these programs
         structure = replace(structure_of(case, {}), actuators=None)
         self.loop, self.call = _programs(structure, law, measured=measured)
-        packed = pack(case, self.loop, {}, np.array([seed]))
+        packed = Packed(case, self.loop, {}, np.array([seed]))
         self.gains = case.gains
         self.law, self.state, self.parameters = law, packed.state[0], packed.parameters[0]
         self.law_state, self.steps = law.initial_state(), packed.steps
-        self.mission = Mission(law, structure.points, rises=structure.rises) if structure.points else None
+        self.fed = structure.points > 0
         self._gain, self._bias, self._current = map(self.part, ("thrust_gain", "thrust_bias", "current"))
         self.law_parameters = self.parameters[: law.gains.size].copy()
         self._move, self._plant = advanced(structure.form), self.part("plant")
@@ -260,11 +246,11 @@ class SingleRun:
     def sense(self, measured: Mapping[str, Vector] | None = None) -> Values:
         """Return what a control period begins with: the law's state x, its inputs u, its parameters p, and the rest."""
         values: Values = {"s": self.state, "w": self.parameters, "x": self.law_state, "law_state": self.law_state}
-        if self.mission is None:
+        if not self.fed:
             values["p"] = self.parameters[: self.law.gains.size]
         else:
             places = self.call["places"](values)
-            for name in self.mission.rows:
+            for name in ROWS:
                 at = ROW * int(places[f"at_{name}"][0])
                 values[name] = self.parameters[at : at + ROW]
             values |= self.call["feed"](values)
@@ -276,10 +262,6 @@ class SingleRun:
         """State of the plant."""
         plant: Vector = self.state[self.loop.state.slice("plant")]
         return plant
-
-    def value(self, name: str) -> float:
-        """Return an entry of the state that is one number."""
-        return float(self.state[self.loop.state.slice(name)][0])
 
     def padded(self, plant: Vector) -> Vector:
         """Return the state of another physics with the size of the plant's own: a hull that does not tilt has less."""

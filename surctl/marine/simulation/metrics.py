@@ -294,22 +294,6 @@ def path_square(waypoints: ca.SX, leg: ca.SX, point: ca.SX) -> ca.SX:
     return best
 
 
-def _crab(law: Law, s: Mapping[str, Columns]) -> dict[str, Columns]:
-    # NaN if the law turns the hull to scan, or if the robot never moves
-    straight = law.perception is None
-
-    def mean(total: str, count: str) -> Columns:
-        average: Columns = np.full(len(s[count]), np.nan)
-        return np.divide(s[total], s[count], out=average, where=(s[count] > 0) & straight)
-
-    crab = mean("sum_crab", "count_crab")
-    return {
-        "crab_angle_deg": np.rad2deg(crab),
-        "max_crab_angle_deg": np.rad2deg(np.where(np.isnan(crab), np.nan, s["most_crab"])),
-        "heading_error_deg": np.rad2deg(np.sqrt(mean("sum_heading", "count_moving"))),
-    }
-
-
 def metrics_table(law: Law, state: Layout, final: Columns) -> Columns:
     """Return the metrics (n, len(METRICS)) of n runs of a law from their final states (n, …) with this layout."""
     parts = {port.name: final[:, state.slice(port.name)] for port in state}
@@ -317,13 +301,20 @@ def metrics_table(law: Law, state: Layout, final: Columns) -> Columns:
     rows, dt = s["step"] + 1, law.dt
     variations = parts["sum_change"] / (np.maximum(rows - 1, 1) * dt)[:, None]
     signs, limited = parts["count_signs"], parts["count_limited"]
-    error = np.divide(s["sum_error"], s["count_error"], out=np.full(len(final), np.nan), where=s["count_error"] > 0)
+
+    def mean(total: str, count: str, *, of: bool = True) -> Columns:
+        average: Columns = np.full(len(final), np.nan)
+        return np.divide(s[total], s[count], out=average, where=(s[count] > 0) & of)
+
+    # the angles are NaN if the law turns the hull to scan, or if the robot never moves
+    straight = law.perception is None
+    crab = mean("sum_crab", "count_crab", of=straight)
     columns = {
         "reached": (s["stop"] == STOPS.index("reached")).astype(float),
         "collided": (s["stop"] == STOPS.index("collision")).astype(float),
         "time_s": np.round(s["step"] * dt, 9),
         "min_clearance_m": np.where(s["least"] < 0.5 * ABSENT, s["least"], np.inf),
-        "path_error_m": np.sqrt(error),
+        "path_error_m": np.sqrt(mean("sum_error", "count_error")),
         "deviation_m": np.sqrt(s["sum_square"] / rows),
         "max_deviation_m": s["most_away"],
         "missed_corner_m": np.sqrt(np.maximum(s["missed"], s["corner_behind"])),
@@ -333,7 +324,9 @@ def metrics_table(law: Law, state: Layout, final: Columns) -> Columns:
         "peak_thrust_share": s["most_thrust"],
         "saturated_share": s["count_saturated"] / rows,
         "thrust_rate_n_per_s": np.sqrt(s["sum_jump"] / np.maximum(rows - 1, 1)) / dt,
-        **_crab(law, s),
+        "crab_angle_deg": np.rad2deg(crab),
+        "max_crab_angle_deg": np.rad2deg(np.where(np.isnan(crab), np.nan, s["most_crab"])),
+        "heading_error_deg": np.rad2deg(np.sqrt(mean("sum_heading", "count_moving", of=straight))),
         **{f"variation_{name}_per_s": each for name, each in zip(_AXES, variations.T, strict=True)},
         "sign_changes_per_s": signs.sum(axis=1) / (rows * dt),
         "axis_sign_changes_per_s": signs.max(axis=1) / (rows * dt),

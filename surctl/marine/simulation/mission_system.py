@@ -9,13 +9,12 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
-from surctl.marine.control import Gains, Law, check_forces
+from surctl.marine.control import Gains, Law, check_forces, law_options
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, follow
-from surctl.marine.simulation.batch.case import vehicle_law
-from surctl.marine.simulation.batch.engines import pack, structure_of
+from surctl.marine.simulation.batch.case import Case, vehicle_law
+from surctl.marine.simulation.batch.engines import Packed, structure_of
 from surctl.marine.simulation.batch.loop import clearances, free_column, loop_of, obstacle_points, pushed, with_walls
 from surctl.marine.simulation.batch.structure import Structure
-from surctl.marine.simulation.loop import case_of
 from surctl.marine.simulation.metrics import ABSENT, path_square
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.sensors import FIRING
@@ -68,10 +67,10 @@ def mission_system(
     check_forces(law.ref, vehicle)
     _check(scenario, vehicle, law)
     build_world(scenario, vehicle, seed=seed)  # refuses a start inside an obstacle
-    case = case_of(scenario, vehicle, gains=gains, law=law, model=model)
+    case = Case(scenario, vehicle, gains, law.ref, model=model, **law_options(law))
     structure = replace(structure_of(case, {}), actuators=None)
     loop = loop_of(structure, law, single=True)
-    numbers = loop.parameters.unpack(pack(case, loop, {}, np.array([seed])).parameters[0])
+    numbers = loop.parameters.unpack(Packed(case, loop, {}, np.array([seed])).parameters[0])
 
     def part(*names: str) -> Layout:
         return valued(Layout(tuple(loop.parameters.port(name) for name in names if name in loop.parameters)), numbers)
@@ -86,7 +85,16 @@ def mission_system(
             _surroundings(structure, law, surroundings),
             _progress(part("waypoints", "legs", "visited", "arrival_radius")),
         ),
-        actuators=(_thrusters(part("thrust_gain", "thrust_bias")), _water(part("current", "wave", "drift"))),
+        actuators=(
+            Sampled(
+                "thrusters", _COMMAND, DELIVERED, lambda x, u, p, w: u["tau"] * p["thrust_gain"] + p["thrust_bias"],
+                parameters=part("thrust_gain", "thrust_bias"),
+            ),
+            Sampled(
+                "water", CLOCK, PLANT_DISTURBANCE, lambda x, u, p, w: pushed(p, u["time"]),
+                parameters=part("current", "wave", "drift"), period=FIRING,
+            ),
+        ),
         costs={
             "min_clearance_m": Cost(lambda s: s.y["least"], "final", "m", "smallest distance to obstacle or wall"),
             "deviation_m": Cost(lambda s: s.y["off_path"], "rms", "m", "rms horizontal distance to the path"),
@@ -95,7 +103,7 @@ def mission_system(
         },
         stops={"collision": lambda s: s.y["clear_water"] <= 0, "reached": lambda s: s.y["arrived"] > 0.5},
         duration=scenario.time_limit,
-    )
+    )  # fmt: skip
 
 
 def _check(scenario: Scenario, vehicle: Vehicle, law: Law) -> None:
@@ -154,16 +162,3 @@ def _progress(parameters: Layout) -> Sampled:
         return {**following, "off_path": off, "arrived": ca.logic_and(last, left <= p["arrival_radius"])}
 
     return Sampled("progress", _POSE, outputs, step, Layout(FOLLOWING), parameters)
-
-
-def _thrusters(parameters: Layout) -> Sampled:
-    return Sampled(
-        "thrusters", _COMMAND, DELIVERED, lambda x, u, p, w: u["tau"] * p["thrust_gain"] + p["thrust_bias"],
-        parameters=parameters,
-    )  # fmt: skip
-
-
-def _water(parameters: Layout) -> Sampled:
-    return Sampled(
-        "water", CLOCK, PLANT_DISTURBANCE, lambda x, u, p, w: pushed(p, u["time"]), parameters=parameters, period=FIRING
-    )

@@ -38,7 +38,9 @@ def planned_radius(vehicle: Vehicle, gains: Gains, speed: float) -> tuple[float,
 
 def steering_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> Iterator[Finding]:
     """Yield the findings about turning, holding a place and depth; none for a vehicle that has all four forces."""
-    yield from _depths(scenario, vehicle)
+    if vehicle["Fw_max"] <= 0 and scenario.depths is not None:
+        text = f"{vehicle.name} has no heave force (Fw_max = 0), so it cannot leave the path's depth; remove depths_m"
+        yield Finding("error", "depths_m", text)
     if vehicle["Fv_max"] > 0:
         return
     radius, about = planned_radius(vehicle, gains, scenario.cruise)
@@ -53,14 +55,10 @@ def steering_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> Ite
     yield from _corners(scenario, radius)
     yield from _turning_circle(scenario, vehicle, radius)
     yield from _arrival_findings(scenario, vehicle, radius)
-    yield from _station(scenario, vehicle)
-
-
-def _depths(scenario: Scenario, vehicle: Vehicle) -> Iterator[Finding]:
-    if vehicle["Fw_max"] > 0 or scenario.depths is None:
-        return
-    text = f"{vehicle.name} has no heave force (Fw_max = 0), so it cannot leave the path's depth; remove depths_m"
-    yield Finding("error", "depths_m", text)
+    d = scenario.disturbance
+    if scenario.visit and (np.hypot(*d.current_m_per_s) > 0 or d.drift_force_n > 0):
+        text = f"{vehicle.name} has no sway force, so a current or a drift force moves it away from a corner to visit"
+        yield Finding("warning", "corners", text)
 
 
 def _corners(scenario: Scenario, radius: float) -> Iterator[Finding]:
@@ -126,14 +124,6 @@ def _rounded_up(value: float) -> float:
     # to two digits
     step = 10.0 ** (floor(log10(value)) - 1)
     return float(f"{ceil(value / step) * step:.2g}")
-
-
-def _station(scenario: Scenario, vehicle: Vehicle) -> Iterator[Finding]:
-    d = scenario.disturbance
-    if not scenario.visit or not (np.hypot(*d.current_m_per_s) > 0 or d.drift_force_n > 0):
-        return
-    text = f"{vehicle.name} has no sway force, so a current or a drift force moves it away from a corner to visit"
-    yield Finding("warning", "corners", text)
 
 
 Array = NDArray[np.float64]

@@ -75,6 +75,10 @@ class Run:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the run as plain data for the command line; the JSON writer converts numbers that are not finite."""
+        tilted = {}
+        if self.record.tilt is not None:
+            roll, pitch = np.rad2deg(np.abs(self.record.tilt).max(axis=0)).tolist()
+            tilted = {"max_roll_deg": roll, "max_pitch_deg": pitch}
         return (
             {
                 "scenario": self.scenario.name,
@@ -94,16 +98,9 @@ class Run:
                 "plant": self.plant,
                 "contacts": [contact._asdict() for contact in self.contacts],
             }
-            | self._tilted()
+            | tilted
             | ({"depth_changes": [d.to_dict() for d in depth_changes(self)]} if self.scenario.depths else {})
         )
-
-    def _tilted(self) -> dict[str, float]:
-        # largest roll and pitch, and largest error of depth, if the hull rolls and pitches
-        if self.record.tilt is None:
-            return {}
-        roll, pitch = np.rad2deg(np.abs(self.record.tilt).max(axis=0)).tolist()
-        return {"max_roll_deg": roll, "max_pitch_deg": pitch}
 
 
 def depth_changes(run: Run) -> list[DepthChange]:

@@ -341,20 +341,13 @@ def _route_table(scenario: Scenario) -> dict[str, Any]:
             same = route.path(depth=scenario.depth, cruise=scenario.cruise, cap=scenario.cap, corners=scenario.corners)
         except InputError:
             same = None
-        if same is not None and _equal(same, path):
+        columns = ("waypoints", "rises", "speeds", "kinds")  # each an array or None
+        if same is not None and all(np.array_equal(getattr(same, name), getattr(path, name)) for name in columns):
             return route.model_dump(exclude_none=True, exclude_defaults=True, mode="json")
     if any(column is not None for column in (path.rises, path.speeds, path.kinds)):
         problem = "has speeds, depths or kinds of corners that the scenario's route does not give"
         raise InputError(problem, key="path_m", remedy="describe them by legs in a scenario file")
     return {"path_m": path.waypoints.tolist()}
-
-
-def _equal(one: Path, other: Path) -> bool:
-    for name in ("waypoints", "rises", "speeds", "kinds"):
-        a, b = getattr(one, name), getattr(other, name)
-        if (a is None) != (b is None) or (a is not None and not np.array_equal(a, b)):
-            return False
-    return True
 
 
 def load_scenario(name_or_path: str) -> Scenario:

@@ -152,15 +152,9 @@ def draw_world(obstacles: int, *, seed: int) -> WorldDraw:
 
 
 def build_world(scenario: Scenario, vehicle: Vehicle, *, seed: int) -> World:
-    """Return the world of a scenario, with the random choices that a seed determines."""
+    """Return the world of a scenario and seed; InputError if the hull starts inside an obstacle."""
     world = World(**vars(draw_world(len(scenario.obstacles), seed=seed)), scenario=scenario, hull=vehicle["radius"])
-    _check_start(world, vehicle, world.bodies(0.0))
-    return world
-
-
-def _check_start(world: World, vehicle: Vehicle, bodies: Sequence[Body]) -> None:
-    scenario = world.scenario
-    for body in bodies:
+    for body in world.bodies(0.0):
         clearance = world.clearance(scenario.start_pose[:3], [body])
         if clearance <= 0:
             raise InputError(
@@ -170,6 +164,7 @@ def _check_start(world: World, vehicle: Vehicle, bodies: Sequence[Body]) -> None
                 value=scenario.start.tolist(),
                 remedy="move the start or the obstacle, or use a smaller vehicle",
             )
+    return world
 
 
 BAND = 0.05

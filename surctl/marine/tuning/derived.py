@@ -377,7 +377,11 @@ def derive_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Derivat
         if not (np.isfinite(value) and value > 0):
             raise InputError("must be greater than 0", key=key, value=value, remedy="correct it")
     check_cruise(vehicle, cruise)
-    return _derive(vehicle, float(cruise), float(dt))
+    case = vehicle.name, vehicle.digest(), float(cruise), float(dt)
+    if case not in _known:
+        numbers: Any = stored_numbers(["surctl"], case, lambda: asdict(_derivation(vehicle, *case[2:])))
+        _known[case] = Derivation(**(numbers | {"gains": Gains(**numbers["gains"])}))
+    return _known[case]
 
 
 def has_tuned(vehicle: Vehicle) -> bool:
@@ -439,14 +443,6 @@ def _tuned_digests() -> frozenset[str]:
 
 
 _known: dict[tuple[str, str, float, float], Derivation] = {}  # of this process
-
-
-def _derive(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
-    key = (vehicle.name, vehicle.digest(), cruise, dt)
-    if key not in _known:
-        numbers: Any = stored_numbers(["surctl"], key, lambda: asdict(_derivation(vehicle, cruise, dt)))
-        _known[key] = Derivation(**(numbers | {"gains": Gains(**numbers["gains"])}))
-    return _known[key]
 
 
 def _derivation(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:

@@ -257,7 +257,9 @@ def tuned_gains(tuning: Tuning) -> Gains:
     """
     request = tuning.request
     bounds = "; ".join(
-        f"{g.name}: {g.over} {g.metric} {g.sense} {g.limit:g} {g.unit} ({g.kind}){_at(g)}" for g in request.goals
+        f"{g.name}: {g.over} {g.metric} {g.sense} {g.limit:g} {g.unit} ({g.kind})"
+        + (f" at {speeds_text(g.cruise)}" if g.cruise else "")
+        for g in request.goals
     )
     requested = request.conditions[: tuning.requested]
     seeds = sorted({c.seed for c in requested})
@@ -270,7 +272,3 @@ def tuned_gains(tuning: Tuning) -> Gains:
     )
     base: Gains = request.base
     return base.with_values(dict(tuning.result.gains), provenance=text, how="tuned")
-
-
-def _at(goal: Goal) -> str:
-    return f" at {speeds_text(goal.cruise)}" if goal.cruise else ""

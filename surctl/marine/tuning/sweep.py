@@ -421,10 +421,7 @@ def _nearest_parameter(name: str, known: set[str]) -> str:
 
 def _own(values: Mapping[str, Floats], names: Sequence[str], nominal: float) -> Floats:
     # (points, 1), or the nominal value (1, 1) if the sweep varies none of the parameters
-    for name in names:
-        if name in values:
-            return values[name][:, None]
-    return np.full((1, 1), nominal)
+    return next((values[name][:, None] for name in names if name in values), np.full((1, 1), nominal))
 
 
 def _summary(metrics: Mapping[str, Floats]) -> list[Floats]:

@@ -114,9 +114,6 @@ class AssembledStep(PriorityStep):
         moved (m,): output; by how much v must violate each limit, because its bounds cross those of a harder one.
     """
 
-    inputs: Mapping[str, Array]
-    moved: Array
-
     def __init__(self, assembly: Assembly, mode: Mode, *, damping: float = 0.0, fallback: Fallback = "exact") -> None:
         """Compile the step; the arguments are those of `Assembly.step`."""
         for task in assembly.stack.tasks:

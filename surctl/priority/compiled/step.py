@@ -230,20 +230,6 @@ class PriorityStep:
         compiled: whether the step runs as C code.
     """
 
-    J: Array
-    lower: Array
-    upper: Array
-    rows: Array
-    box: Array
-    v: Array
-    active: Array
-    multipliers: Array
-    opening: Array
-    status: Array
-    count: Array
-    target: Array
-    solve: Callable[[], None]
-
     def __init__(
         self,
         mode: Mode,

@@ -1,4 +1,4 @@
-"""A case: scenario, vehicle and law of a batch; the parameters that a sweep may change by name, and their bounds."""
+"""A case: scenario, vehicle and law of a batch; numbers of the law; parameters that a sweep may change, with bounds."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from surctl.marine.control import (
     law_ref,
     law_source,
 )
+from surctl.marine.control.ports import law_parameters
 from surctl.marine.guidance import AvoidanceForm, Guidance
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.run import Sensing
@@ -57,6 +58,55 @@ def vehicle_law(vehicle: Vehicle, law: str = "", scenario: Scenario | None = Non
     if scenario is not None:
         options |= {"equipment": scenario.sensors.on(vehicle["radius"]), "depths": scenario.depths is not None}
     return build_law(law, actuators=vehicle.actuators, **options)
+
+
+VISITED = 0.5
+"""Share of the visit distance within which the law counts a corner as visited by its measured position (*chosen*).
+
+The rest of the distance covers the error of that position.
+"""
+
+
+def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.float64]:
+    """Return the law's parameter vector, packed as in `PARAMETERS`, from a scenario, gains and the law's vehicle model.
+
+    If the path is fed (`Path.fed`), waypoints, depth, cruise speed and visits are those of its first window.
+
+    Example:
+        >>> from surctl.marine.control import PARAMETERS, load_gains
+        >>> from surctl.marine.simulation import law_numbers, load_scenario
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> p = law_numbers(load_scenario("pool-behind"), load_gains("default"), load_vehicle("sur400"))
+        >>> [p[PARAMETERS.slice(name)].tolist() for name in ("cruise", "depth", "walls")]
+        [[0.15], [-0.15], [0.0, 3.0, 0.0, 2.0]]
+    """
+    length, width, _ = scenario.site
+    return law_parameters(
+        gains,
+        model,
+        path=scenario.path,
+        depth=scenario.depth,
+        cruise=scenario.cruise,
+        cap=scenario.cap,
+        walls=(0.0, length, 0.0, width),
+        launch=scenario.launch,
+        visit=0.0 if scenario.visit is None else VISITED * scenario.visit,
+    )
+
+
+def fed_ranges(scenario: Scenario) -> dict[str, tuple[float, float]]:
+    """Return the range of each parameter that changes along the path; empty if the parameters stay as they are."""
+    path = scenario.path
+    if not path.fed:
+        return {}
+    speeds = path.table()[1:, 3]
+    cruise = [scenario.cruise, *speeds[speeds > 0].tolist()]
+    return {
+        "waypoints": (float(path.waypoints.min()), float(path.waypoints.max())),
+        "depth": scenario.depth_range,
+        "cruise": (min(cruise), max(cruise)),
+        "visit": (0.0, 0.0 if scenario.visit is None else VISITED * scenario.visit),
+    }
 
 
 @dataclass(frozen=True)

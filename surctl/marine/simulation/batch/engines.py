@@ -22,15 +22,13 @@ from surctl.ir.folding import fused
 from surctl.marine.allocation import working_flags
 from surctl.marine.control import WORKING, law_options
 from surctl.marine.control.build import LAW_SOURCES
-from surctl.marine.guidance import Path
 from surctl.marine.sensing import FaultChances
 from surctl.marine.sensing.sonar.faults import fault_slots
 from surctl.marine.sensing.sonar.returns import echo_keys, echo_number
-from surctl.marine.simulation.batch.case import Case, case_parameters, check_values
+from surctl.marine.simulation.batch.case import VISITED, Case, case_parameters, check_values, law_numbers
 from surctl.marine.simulation.batch.loop import Loop, build_loop
 from surctl.marine.simulation.batch.structure import BodyKind, Structure
 from surctl.marine.simulation.metrics import METRICS, metrics_table
-from surctl.marine.simulation.numbers import VISITED, law_numbers
 from surctl.marine.simulation.scenario import check_spacing
 from surctl.marine.simulation.world import WorldDraw, draw_world
 from surctl.marine.vehicle import Vehicle, plant_layout, plant_state
@@ -41,7 +39,7 @@ from surctl.system.runs import Engine, final_states
 Columns = NDArray[np.float64]
 
 NO_END = 1e6  # [m] height of an end beyond the floor or the surface
-_LEAST = 16  # waypoints: paths of similar length use the same compiled loop
+_LEAST = 16  # waypoints that the parameters hold, a power of two: paths of similar length use the same compiled loop
 
 _VECTORS = {
     "mass": ("m11", "m22", "m33", "m44"),
@@ -61,15 +59,6 @@ _BODY = {
 """Parameters of each kind of obstacle besides its centre and its drift."""
 
 
-@dataclass(frozen=True, eq=False)
-class Packed:
-    """The initial states (n, …) and parameters (n, …) of n runs, and the upper limit of their control periods."""
-
-    state: Columns
-    parameters: Columns
-    steps: int
-
-
 def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
     """Return the loop structure to compile; it lets an obstacle drift if the drift amplitude is positive in any run."""
     kinds = []
@@ -78,9 +67,10 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         shape = "drifting " * bool(np.any(moved > 0)) + ("box" if obstacle.shape == "box" else "disc")
         kinds.append(cast("BodyKind", "mover" if obstacle.shape == "moving" else shape))
     optional = any(f"obstacle.{obstacle.name}.there" in values for obstacle in case.scenario.obstacles)
-    sensors, sonars = case.scenario.sensors, dict[str, Any]()
+    sensors, path, sonars = case.scenario.sensors, case.scenario.path, dict[str, Any]()
     if case.sensing == "sonar":
-        struck = any(np.any(values.get(f"sonar.{kind}", chance) > 0) for kind, chance in _chances(case))
+        chances = zip(sensors.chances.kinds(), sensors.chances.numbers, strict=True)
+        struck = any(np.any(values.get(f"sonar.{kind}", chance) > 0) for kind, chance in chances)
         late = any(fault.kind == "delay" for fault in sensors.faults)
         sonars = {"equipment": sensors.on(case.vehicle["radius"]), "faults": len(sensors.faults), "chances": struck}
         sonars |= {"delays": late, "surfaces": case.scenario.surfaces}
@@ -88,54 +78,44 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         law=case.law, sensing=case.sensing, bodies=tuple(kinds), optional=optional,
         heights=any(not obstacle.heights.whole for obstacle in case.scenario.obstacles),
         depths=case.scenario.depths is not None, form=case.vehicle.form, actuators=case.vehicle.actuators,
-        points=_capacity(case.scenario.path), rises=case.scenario.path.rises is not None,
+        points=max(_LEAST, 1 << (len(path.waypoints) - 1).bit_length()) if path.fed else 0,
+        rises=path.rises is not None,
         **law_options(case), **sonars,
     )  # fmt: skip
 
 
-def _capacity(path: Path) -> int:
-    # number of waypoints in the parameters of a run: a power of two if the path is fed, else 0
-    return max(_LEAST, 1 << (len(path.waypoints) - 1).bit_length()) if path.fed else 0
+class Packed:
+    """Runs as vectors, from checked values (n,) by name and seeds (n,).
 
-
-def _chances(case: Case) -> list[tuple[str, float]]:
-    chances = case.scenario.sensors.chances
-    return list(zip(chances.kinds(), chances.numbers, strict=True))
-
-
-def pack(case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[np.int64]) -> Packed:
-    """Return the initial states and the parameters of every run, for checked values (n,) by name and seeds (n,).
-
-    `loop` is the loop of the structure that `structure_of(case, values)` returns.
+    Attributes:
+        state, parameters: initial states (n, …) and parameters (n, …) of the runs, for `loop`, which is that of the
+            structure that `structure_of(case, values)` returns.
+        steps: upper limit of their control periods.
     """
-    filler = _Filler(case, loop, values, seeds)
-    return Packed(filler.states(), filler.parameters(), filler.steps)
 
-
-class _Filler:
     def __init__(self, case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[np.int64]) -> None:
         self.case, self.loop, self.values, self.seeds = case, loop, values, seeds
-        self.known = case_parameters(case)
-        limit = np.asarray(self.number("scenario.time_limit"))
-        self.step_limits = np.ceil(limit / loop.law.dt)
-        self.steps = int(np.max(self.step_limits))
+        self._known = case_parameters(case)
+        self._limits = np.ceil(np.asarray(self._number("scenario.time_limit")) / loop.law.dt)
+        self.steps = int(np.max(self._limits))
+        self.state, self.parameters = self._states(), self._parameters()
 
-    def number(self, name: str) -> Columns:
+    def _number(self, name: str) -> Columns:
         # (n,) if the runs differ in the parameter, otherwise a scalar
-        return np.asarray(self.values.get(name, self.known[name].value), dtype=float)
+        return np.asarray(self.values.get(name, self._known[name].value), dtype=float)
 
-    def actual(self, name: str) -> Columns:
+    def _actual(self, name: str) -> Columns:
         # of the simulated vehicle
         if f"plant.{name}" in self.values:
             return self.values[f"plant.{name}"]
-        return self.number(f"vehicle.{name}")
+        return self._number(f"vehicle.{name}")
 
-    def believed(self, name: str) -> Columns:
+    def _believed(self, name: str) -> Columns:
         # in the controller's model
         model = self.case.model or self.case.vehicle
         return np.asarray(self.values.get(f"vehicle.{name}", model[name]), dtype=float)
 
-    def states(self) -> Columns:
+    def _states(self) -> Columns:
         layout, case = self.loop.state, self.case
         first = layout.pack(
             {
@@ -144,18 +124,18 @@ class _Filler:
             }
         )
         out = np.tile(first, (len(self.seeds), 1))
-        out[:, layout.slice("plant").start + 2] = self.number("scenario.depth")
+        out[:, layout.slice("plant").start + 2] = self._number("scenario.depth")
         if "noise" in layout:
             out[:, layout.slice("noise")] = noise_states(self.seeds)
         return out
 
-    def parameters(self) -> Columns:
+    def _parameters(self) -> Columns:
         layout = self.loop.parameters
         out = np.empty((len(self.seeds), layout.size))
         self._law(out[:, : self.loop.law.gains.size])
         if self.loop.structure.points:
             scenario = self.case.scenario
-            check_spacing(scenario, cap=float(np.max(self.number("scenario.cap"))))
+            check_spacing(scenario, cap=float(np.max(self._number("scenario.cap"))))
             table = scenario.path.table(visits=scenario.corners == "visit")
             rows = np.minimum(np.arange(self.loop.structure.points), len(table) - 1)  # the last one fills the rest
             out[:, layout.slice("mission")] = table[rows].ravel()
@@ -170,59 +150,59 @@ class _Filler:
         model = case.model or case.vehicle
         out[:] = law_numbers(case.scenario, case.gains, model)
         for name in case.gains.specs:
-            out[:, layout.slice(name).start] = self.number(name)
+            out[:, layout.slice(name).start] = self._number(name)
         for name in ("depth", "cruise", "cap"):
-            out[:, layout.slice(name).start] = self.number(f"scenario.{name}")
+            out[:, layout.slice(name).start] = self._number(f"scenario.{name}")
         if case.scenario.visit is not None:
-            out[:, layout.slice("visit").start] = VISITED * self.number("scenario.arrival_radius")
+            out[:, layout.slice("visit").start] = VISITED * self._number("scenario.arrival_radius")
         for vector, members in _VECTORS.items():
             for k, member in enumerate(members):
-                column, reverse = self.believed(member), member.replace("_max", "_reverse")
+                column, reverse = self._believed(member), member.replace("_max", "_reverse")
                 if vector == "thrust_limit" and reverse in model.parameters:
-                    column = np.minimum(column, self.believed(reverse))  # as in Vehicle.thrust_limit
+                    column = np.minimum(column, self._believed(reverse))  # as in Vehicle.thrust_limit
                 if vector == "linear_drag":
                     for name in [name for axis, name in model.form.ahead() if axis == k]:
-                        column = column + self.believed(name) * self.number("scenario.cruise")  # as Vehicle.drag_at
+                        column = column + self._believed(name) * self._number("scenario.cruise")  # as Vehicle.drag_at
                 if member == "Fr_max":
                     column = column * self._grown(model)
                 out[:, layout.slice(vector).start + k] = column
-        out[:, layout.slice("hull").start] = self.believed("radius")
+        out[:, layout.slice("hull").start] = self._believed("radius")
         if "ahead_limit" in layout:
-            out[:, layout.slice("ahead_limit").start] = self.believed("Fu_max")  # as in Vehicle.ahead_limit
+            out[:, layout.slice("ahead_limit").start] = self._believed("Fu_max")  # as in Vehicle.ahead_limit
 
     def _grown(self, vehicle: Vehicle) -> Columns:
         # yaw moment at the cruise speed over that of the vehicle file, as in Vehicle.at_speed
         if vehicle.actuators is None or not vehicle.actuators.fins:
             return np.ones(())
-        speeds, back = np.unique(self.number("scenario.cruise"), return_inverse=True)
+        speeds, back = np.unique(self._number("scenario.cruise"), return_inverse=True)
         return np.array([vehicle.at_speed(u)["Fr_max"] / vehicle["Fr_max"] for u in speeds.tolist()])[back]
 
     def _world(self) -> dict[str, Sequence[ArrayLike]]:
         # the numbers of each entry that the law's parameters do not have: each is (n,), or a number if all runs agree
-        scenario, structure, draws, number = self.case.scenario, self.loop.structure, self._draws(), self.number
-        plant: dict[str, list[ArrayLike]] = {v: [self.actual(m) for m in members] for v, members in _VECTORS.items()}
+        scenario, structure, draws, number = self.case.scenario, self.loop.structure, self._draws(), self._number
+        plant: dict[str, list[ArrayLike]] = {v: [self._actual(m) for m in members] for v, members in _VECTORS.items()}
         most = self.case.vehicle.delivered_limit
         for axis in np.flatnonzero(most > self.case.vehicle.thrust_range[1]).tolist():  # fins act on it
             plant["thrust_limit"][axis] = most[axis]
-        plant["thrust_lag"] = [self.actual("thrust_lag")]
-        plant["terms"] = [self.actual(name) for name in structure.form.terms]
+        plant["thrust_lag"] = [self._actual("thrust_lag")]
+        plant["terms"] = [self._actual(name) for name in structure.form.terms]
         leg = scenario.target - scenario.path.waypoints[-2]
-        grown: list[Columns | float] = [1.0, 1.0, 1.0, self._grown(self.case.vehicle)]
+        grown = [*([np.ones(())] * 3), self._grown(self.case.vehicle)]
         arrival, bias = number("scenario.arrival_radius"), number("scenario.thrust_bias")
         columns: dict[str, Sequence[ArrayLike]] = {
             "plant": [column for port in plant_layout(structure.form) for column in plant[port.name]],
-            "world_hull": [self.actual("radius")],
+            "world_hull": [self._actual("radius")],
             "arrival_radius": [arrival],
             "legs": [len(scenario.path.waypoints) - 1],
             "visited": [0.0 if scenario.visit is None else arrival],
-            "steps": [self.step_limits],
+            "steps": [self._limits],
             "leg": list(leg / np.linalg.norm(leg)),
             "current": [number("scenario.current_x"), number("scenario.current_y")],
             "wave": self._swing("scenario.wave", draws.wave_direction, draws.wave_phase, amplitude="_force"),
             "drift": self._swing("scenario.drift", draws.slow_direction, draws.slow_phase, amplitude="_force"),
             "thrust_gain": [1 + number("scenario.thrust_error") * draws.gain_error[:, k] for k in range(4)],
             "thrust_bias": [
-                bias * draws.bias[:, k] * self.actual(name) * grown[k]
+                bias * draws.bias[:, k] * self._actual(name) * grown[k]
                 for k, name in enumerate(_VECTORS["thrust_limit"])
             ],
         }
@@ -251,13 +231,13 @@ class _Filler:
         # the numbers of obstacle k that `body_at` needs
         obstacle, kind = self.case.scenario.obstacles[k], self.loop.structure.bodies[k]
         name = f"obstacle.{obstacle.name}"
-        x, y, *others = (self.number(f"{name}.{end}") for end in ("x", "y", *_BODY[kind]))
+        x, y, *others = (self._number(f"{name}.{end}") for end in ("x", "y", *_BODY[kind]))
         if kind != "mover":
             drift = self._swing(f"{name}.drift", draws.drift_direction[:, k], draws.drift_phase[:, k])
             return [x, y, *others, *(drift if kind.startswith("drifting") else ())]
         radius, to_x, to_y, speed = others
         if obstacle.radius_m is None and f"{name}.radius" not in self.values:
-            radius = self.actual("radius")
+            radius = self._actual("radius")
         displacement = np.stack(np.broadcast_arrays(to_x - x, to_y - y))
         distance = np.hypot(*displacement)
         unit = displacement / np.where(distance > 0, distance, 1.0)
@@ -265,7 +245,7 @@ class _Filler:
 
     def _swing(self, name: str, direction: Columns, phase: ArrayLike, *, amplitude: str = "") -> list[ArrayLike]:
         # of a sinusoidal motion or force: amplitude along x and y of {E}, rate [rad/s], phase [rad]
-        size, rate = self.number(f"{name}{amplitude}"), 2 * np.pi / self.number(f"{name}_period")
+        size, rate = self._number(f"{name}{amplitude}"), 2 * np.pi / self._number(f"{name}_period")
         return [size * direction[:, 0], size * direction[:, 1], rate, phase]
 
     def _draws(self) -> WorldDraw:
@@ -372,7 +352,7 @@ def simulate_batch(
     loop = build_loop(structure_of(case, columns))
     if len(run_seeds) == 0:
         return BatchResult(np.empty((0, len(METRICS))), "c" if engine == "c" else "vm")
-    packed = pack(case, loop, columns, run_seeds)
+    packed = Packed(case, loop, columns, run_seeds)
     final, used = final_states(
         packed.state, packed.parameters, steps=packed.steps, compiled=lambda: compiled_loop(loop.structure),
         machine=lambda: _machine(loop.structure), engine=engine, threads=threads,
@@ -445,21 +425,15 @@ def trace_batch(case: Case, values: Mapping[str, ArrayLike]) -> Iterator[Trace]:
     check_values(case, columns)
     loop = build_loop(structure_of(case, columns))
     compiled = compiled_loop(loop.structure)
-    plant, law, tau = (loop.state.slice(name) for name in ("plant", "law", "last_thrust"))
+    parts = [loop.state.slice(name) for name in ("plant", "law", "last_thrust")]
     for first in range(0, len(run_seeds), _TOGETHER):
         some = slice(first, first + _TOGETHER)
-        packed = pack(case, loop, {name: column[some] for name, column in columns.items()}, run_seeds[some])
-        state, ended = packed.state, np.full(len(packed.state), packed.steps)
-        plants, laws, taus = [], [], []
-        for k in range(packed.steps):
-            after = compiled.run(state, packed.parameters, steps=1)  # one thread: to start more takes longer
-            plants.append(state[:, plant])
-            laws.append(state[:, law])
-            taus.append(after[:, tau])
-            ended[(after[:, 0] != 0) & (state[:, 0] == 0)] = k
-            if after[:, 0].all():
-                break
-            state = after
-        signals = [np.stack(rows, axis=1) for rows in (plants, laws, taus)]
-        for run, count in enumerate(ended):
-            yield Trace(*(signal[run, :count] for signal in signals))
+        packed = Packed(case, loop, {name: column[some] for name, column in columns.items()}, run_seeds[some])
+        state, steps = packed.state, [packed.state]
+        while len(steps) <= packed.steps and not state[:, 0].all():
+            state = compiled.run(state, packed.parameters, steps=1)  # one thread: to start more takes longer
+            steps.append(state)
+        done = np.stack([step[:, 0] for step in steps], axis=1) != 0
+        plant, law, tau = (np.stack([step[:, here] for step in steps], axis=1) for here in parts)
+        for run, count in enumerate((~done[:, 1:]).sum(axis=1)):
+            yield Trace(plant[run, :count], law[run, :count], tau[run, 1 : count + 1])

@@ -10,7 +10,7 @@ import casadi as ca
 
 from surctl.ir import Layout, Port
 from surctl.marine.control import CONTACT_SLOTS, Law
-from surctl.marine.sensing import BaseStation, FaultChances
+from surctl.marine.sensing import FaultChances
 from surctl.marine.sensing.localisation.base_station import delayed_symbols
 from surctl.marine.sensing.sonar.echo import Beam, beam_of, echo_range, echo_samples
 from surctl.marine.sensing.sonar.faults import SLOT, fault_ports, faulty_samples
@@ -150,8 +150,12 @@ class Listening:
             spread = [own.position_sd, own.position_sd, own.position_sd, own.yaw_sd] if own else [0.0] * 4
             inputs = {"eta": eta + ca.DM(spread) * own_noise[:4], "nu": nu}
             if "contacts" in self.law.inputs:
-                observed = (_observed(station, rows[k, :], noise[k, :]) for k in range(rows.shape[0]))
-                inputs["contacts"] = ca.vertcat(ca.SX(0, 6), *observed)
+                observed = [ca.SX(0, 6)]
+                for k in range(rows.shape[0]):  # with noise, but without delay
+                    place, velocity = station.position_sd * noise[k, :2], station.velocity_sd * noise[k, 2:]
+                    measured = rows[k, :] + ca.horzcat(place, 0, velocity, 0)
+                    observed.append(ca.if_else(rows[k, 5], measured, ca.SX.zeros(1, 6)))
+                inputs["contacts"] = ca.vertcat(*observed)
             return inputs
         inputs = {}
         if "contacts" in self.law.inputs:
@@ -191,6 +195,27 @@ class Listening:
         fresh = [ca.SX(0)] * array.size
         period = plan.period // gcd(plan.period, self._instants)  # control steps
         turn = step - period * ca.floor(step / period)
+        surfaces, walls, solids = structure.surfaces, SolidWalls(w["walls"]), [body.solid for body in bodies]
+
+        def echo_distance(beam: Beam, sensor: ca.SX, certain: ca.SX | None) -> ca.SX:
+            # distance [m] of the first detected echo; that of the first certain echo may be measured elsewhere
+            if surfaces is None:
+                return echo_range(array, beam, [*solids, walls]) if certain is None else certain
+            upright = list(zip(solids, surfaces.obstacles, strict=True))
+            nearest = certain
+            if nearest is None:
+                nearest = certain_range_symbols(array, beam, upright, walls, z=plant[2], surfaces=surfaces)
+            if not (surfaces.weak or surfaces.corners):
+                return nearest
+            key, firsts = ca.SX.zeros(ECHO_KEY), ca.SX.zeros(len(upright))
+            if surfaces.weak:
+                key, firsts = w["echo_key"], w["echo_numbers"]
+            block = firing_block_symbols(key, step * self._instants + instant, sensor)
+            numbered = [(firsts[k], *pair) for k, pair in enumerate(upright)]
+            uniform = partial(uniform_symbols, key, block)
+            weak = weak_range_symbols(array, beam, numbered, walls, surfaces=surfaces, uniform=uniform)
+            return ca.fmin(nearest, weak)
+
         for k in range(wide):
             turns = [plan.sensors[(t * self._instants + instant) % plan.period][k] for t in range(period)]
             listed = [0 if i is None else i for i in turns]
@@ -199,8 +224,7 @@ class Listening:
             noise, sensor = numbers["normals"][at : at + samples], ca.SX(0)
             for t, i in enumerate(listed):
                 sensor = ca.if_else(turn == t, i, sensor)
-            certain = numbers["echo"][k] if "echo" in numbers else None
-            distance = self._distance(w, bodies, beam, plant[2], sensor, step * self._instants + instant, certain)
+            distance = echo_distance(beam, sensor, numbers["echo"][k] if "echo" in numbers else None)
             if structure.may_fail:
                 at = 2 * (instant * wide + k)
                 arrival = faulty_samples(
@@ -229,35 +253,6 @@ class Listening:
             fresh = [ca.fmax(flag, ca.logic_and(sensor == i, arrived)) for i, flag in enumerate(fresh)]
         return after, ca.vertcat(*fresh)
 
-    def _distance(
-        self,
-        w: Mapping[str, ca.SX],
-        bodies: Sequence[Body],
-        beam: Beam,
-        z: ca.SX,
-        sensor: ca.SX,
-        instant: ca.SX,
-        certain: ca.SX | None,
-    ) -> ca.SX:
-        # distance [m] of the first detected echo; `instant` counts the firing instants of the run; `certain` is the
-        # distance of the first certain echo if it is measured elsewhere
-        array, surfaces = self.structure.equipment.array, self.structure.surfaces
-        walls, solids = SolidWalls(w["walls"]), [body.solid for body in bodies]
-        if surfaces is None:
-            return echo_range(array, beam, [*solids, walls]) if certain is None else certain
-        upright = list(zip(solids, surfaces.obstacles, strict=True))
-        nearest = certain
-        if nearest is None:
-            nearest = certain_range_symbols(array, beam, upright, walls, z=z, surfaces=surfaces)
-        if not (surfaces.weak or surfaces.corners):
-            return nearest
-        key, numbers = ca.SX.zeros(ECHO_KEY), ca.SX.zeros(len(upright))
-        if surfaces.weak:
-            key, numbers = w["echo_key"], w["echo_numbers"]
-        uniform = partial(uniform_symbols, key, firing_block_symbols(key, instant, sensor))
-        numbered = [(numbers[k], *pair) for k, pair in enumerate(upright)]
-        return ca.fmin(nearest, weak_range_symbols(array, beam, numbered, walls, surfaces=surfaces, uniform=uniform))
-
 
 def slots(rows: Sequence[ca.SX], near: Sequence[ca.SX], most: int = CONTACT_SLOTS) -> ca.SX:
     """Return the obstacle points for the law (k, 6): all `rows`, or the `most` nearest ones in unchanged order."""
@@ -270,12 +265,6 @@ def slots(rows: Sequence[ca.SX], near: Sequence[ca.SX], most: int = CONTACT_SLOT
         slots = [ca.if_else(ca.logic_and(chosen, filled == at), row, slot) for at, slot in enumerate(slots)]
         filled += chosen
     return ca.vertcat(*slots)
-
-
-def _observed(station: BaseStation, row: ca.SX, noise: ca.SX) -> ca.SX:
-    # (1, 6), with noise, but without delay
-    spread = ca.horzcat(station.position_sd * noise[:2], 0, station.velocity_sd * noise[2:], 0)
-    return ca.if_else(row[5], row + spread, ca.SX.zeros(1, 6))
 
 
 def flat(matrix: ca.SX) -> ca.SX:

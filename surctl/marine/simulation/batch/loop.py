@@ -18,7 +18,7 @@ from surctl.ir.folding import shared_divisors
 from surctl.marine.control import WORKING, Law, build_law, law_options
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, ROW, follow
 from surctl.marine.simulation.batch.listening import Listening, flat, slots
-from surctl.marine.simulation.batch.structure import Body, Mission, Structure, body_size, driven
+from surctl.marine.simulation.batch.structure import AROUND, BODY_SIZES, FIRST, Body, Mission, Structure
 from surctl.marine.simulation.metrics import (
     ABSENT,
     COUNTED,
@@ -31,6 +31,7 @@ from surctl.marine.simulation.metrics import (
 )
 from surctl.marine.simulation.physics import advance
 from surctl.marine.simulation.sensors import FIRING
+from surctl.marine.simulation.thruster_faults import fin_excess
 from surctl.marine.simulation.world import LONGEST
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, plant_layout, plant_state
 from surctl.noise import NOISE_STATE
@@ -57,21 +58,20 @@ class Loop:
         """Function that simulates one control period: from a run's state and parameters it computes the next state."""
         law, state, parameters = self.law, self.state, self.parameters
         builder = _Builder(self.structure, law, state, parameters)
-        sense, drive, between, close = builder.sense(), builder.drive(), builder.between(), builder.close()
+        end = _called(builder.close())
         # the headings of all RK4 stages are near the first: the hull turns little within 25 ms
         move = shared_divisors(nearby_angles(lower(advance(self.structure.form)), source=0, entry=_HEADING))
-        outputs = [tuple(name for name, _ in program.outputs) for program in (sense, between, close)]
         steps = (
             *(builder.mission.steps(state, parameters) if builder.mission else ()),
-            Call(sense, ("s", "w"), outputs[0]),
+            _called(builder.sense()),
             Call(law.block, ("x", "u", "p"), ("tau", "x_next", "status", "telemetry")),
-            Call(drive, tuple(name for name, _ in drive.inputs), ("thrust",)),
+            _called(builder.drive()),
             Call(move, ("plant", "thrust", "d0", "plant_p"), ("plant_between",)),
-            Call(between, tuple(name for name, _ in between.inputs), outputs[1]),
+            _called(builder.between()),
             Call(move, ("plant_between", "thrust", "d1", "plant_p"), ("plant_next",)),
-            Call(close, tuple(name for name, _ in close.inputs), outputs[2]),
+            end,
         )
-        return Routine("step", (("s", state.size), ("w", parameters.size)), steps, outputs[2])
+        return Routine("step", (("s", state.size), ("w", parameters.size)), steps, end.results)
 
     def calls(self, *, measured: bool) -> dict[str, Block]:
         """Return the programs of `step` except law, thrusters and plant, for a single run that keeps the law's state.
@@ -83,6 +83,11 @@ class Loop:
         fed = builder.mission.programs(self.state, self.parameters) if builder.mission else ()
         listed = (*fed, builder.sense(), builder.between(), builder.close())
         return {block.name: block for block in listed}
+
+
+def _called(program: Block) -> Call:
+    # with the values of its names
+    return Call(program, tuple(name for name, _ in program.inputs), tuple(name for name, _ in program.outputs))
 
 
 @cache
@@ -119,7 +124,7 @@ def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
         Port("thrust_gain", (4,), "1", "ratio of delivered to commanded thrust, per axis"),
         Port("thrust_bias", (4,), "N, N m", "bias of the delivered thrust, per axis"),
     )
-    bodies = (Port(f"body{k}", (body_size(kind),), "SI", kind) for k, kind in enumerate(structure.bodies))
+    bodies = (Port(f"body{k}", (BODY_SIZES[kind],), "SI", kind) for k, kind in enumerate(structure.bodies))
     heights = Port("heights", (len(structure.bodies), 2), "m", "z of each obstacle's bottom and top")
     allowed = Port("depths", (2,), "m", "lowest and highest z that the hull may use")
     upright = (*((heights,) if structure.heights else ()), *((allowed,) if structure.depths else ()))
@@ -151,7 +156,7 @@ def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
         Port("last_place", (2,), "m", "x, y at the last control step"),
         Port("last_thrust", (4,), "N, N m", "thrust command at the last control step"),
         Port("last_signs", (4,), "1", "sign of each thrust command when it was last above 1 % of its limit"),
-        *((Mission.state(),) if structure.points else ()),
+        *((FIRST,) if structure.points else ()),
         *FOLLOWING,
         *COUNTED,
     )
@@ -179,12 +184,16 @@ class _Builder:
             out = {"x": state["law"], "p": w[: self.law.gains.size]}
         echo = {"echo": ca.SX.sym("echo", self.listening.wide)} if self.measured else {}
         inputs: dict[str, ca.SX] = {"eta": eta, "nu": nu}
+        near = self._beside(parameters, bodies, eta)
         if self.sonar:
-            own, message_noise, loss = self.listening.draw(state["noise"], out, movers=self._movers(parameters))
-            near = self._beside(parameters, bodies, eta)
-            echoes, arrived = self.listening.instant(
-                parameters, near, state["plant"], state, step, {**out, **echo}, instant=0
-            )
+            movers_there = None  # if the number of moving obstacles is the same constant in all runs
+            if self.structure.optional:
+                kinds = enumerate(self.structure.bodies)
+                there = (parameters["there"][k] > 0.5 for k, kind in kinds if kind == "mover")
+                movers_there = sum(there, start=ca.SX(0))
+            own, message_noise, loss = self.listening.draw(state["noise"], out, movers=movers_there)
+            numbers = {**out, **echo}
+            echoes, arrived = self.listening.instant(parameters, near, state["plant"], state, step, numbers, instant=0)
             inputs = {"samples": echoes["sonar_last"], "fresh": ca.fmax(state["fresh"], arrived)}
             out["echoes"] = self.listening.echoes.join(echoes)
             movers = [b for b in bodies if b.moving]
@@ -193,14 +202,12 @@ class _Builder:
             inputs |= self.listening.measurements(state, eta, nu, rows, own, noise, loss, out)
         else:
             out |= {name: ca.SX(0) for name in ("noise_next", "normals", "uniforms", "echoes")}
-            near = self._beside(parameters, bodies, eta)
             if "contacts" in self.law.inputs:
                 inputs["contacts"] = obstacle_points(near, eta, self.law.inputs.port("contacts").shape[0])
         if "contacts" in inputs:
             rows = inputs["contacts"]
-            inputs["contacts"] = ca.vertcat(
-                rows, ca.SX.zeros(self.law.inputs.port("contacts").shape[0] - rows.shape[0], 6)
-            )
+            empty = self.law.inputs.port("contacts").shape[0] - rows.shape[0]
+            inputs["contacts"] = ca.vertcat(rows, ca.SX.zeros(empty, 6))
         if WORKING in self.law.inputs:
             inputs[WORKING] = parameters[WORKING]
         if "column" in self.law.inputs:
@@ -218,18 +225,29 @@ class _Builder:
         return self.listening.late if self.sonar else Layout(())
 
     def drive(self) -> Program:
-        return driven(self.structure, self.law, self.parameters)
+        # from the law's command to the thrust with the errors of the scenario; with fins, a fin gives the force of its
+        # deflection at the speed through the water, as in `Thrusters.achieved`
+        w, known = self.parameters.symbols("w")
+        tau, inputs, actuators = ca.SX.sym("tau", 4), dict[str, ca.SX](), self.structure.actuators
+        delivered = tau
+        if actuators is not None and actuators.fins:
+            sizes = {"plant": plant_state(self.structure.form).size, "telemetry": self.law.outputs.size - 4}
+            inputs = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+            forces, commands = (
+                inputs["telemetry"][self.law.telemetry_slice(name)] for name in ("thruster_force", "thruster_command")
+            )
+            psi = inputs["plant"][3]
+            along = ca.dot(ca.vertcat(ca.cos(psi), ca.sin(psi)), known["current"])
+            speed = ca.fmax(inputs["plant"][4] - along, 0)
+            delivered += fin_excess(actuators, forces, commands, speed * speed)
+        thrust = delivered * known["thrust_gain"] + known["thrust_bias"]
+        return lower_named("drive", {"w": w, "tau": tau, **inputs}, {"thrust": thrust})
 
     def between(self) -> Program:
         # second sonar firing and clearances, 25 ms after the beginning of the control step
         w, parameters = self.parameters.symbols("w")
-        sizes = {
-            "plant_between": plant_state(self.structure.form).size,
-            "step": 1,
-            "normals": 1,
-            "uniforms": 1,
-            "echoes": 1,
-        }
+        sizes = dict.fromkeys(("plant_between", "step", "normals", "uniforms", "echoes"), 1)
+        sizes["plant_between"] = plant_state(self.structure.form).size
         if self.sonar:
             listening = self.listening
             sizes |= {"normals": listening.normals, "uniforms": listening.uniforms, "echoes": listening.echoes.size}
@@ -265,7 +283,7 @@ class _Builder:
             "fresh_next": self.structure.equipment.array.size if sonar else 1,
             "late": self._late.size,
             "noise_next": NOISE_STATE if sonar else 1,
-            **({"first_next": 1} | dict.fromkeys(self.mission.around, ROW) if self.mission else {}),
+            **({"first_next": 1} | dict.fromkeys(AROUND, ROW) if self.mission else {}),
         }
         v = {name: ca.SX.sym(name, size) for name, size in symbols.items()}
         place = old["plant"][:2]
@@ -340,13 +358,6 @@ class _Builder:
     @staticmethod
     def _beside(w: Mapping[str, ca.SX], bodies: Sequence[Body], plant: ca.SX) -> list[Body]:
         return [body.beside(plant[2], w["world_hull"]) for body in bodies]
-
-    def _movers(self, w: Mapping[str, ca.SX]) -> ca.SX | None:
-        # None if the number of moving obstacles is the same constant in all runs
-        if not self.structure.optional:
-            return None
-        kinds = enumerate(self.structure.bodies)
-        return sum((w["there"][k] > 0.5 for k, kind in kinds if kind == "mover"), start=ca.SX(0))
 
 
 def pushed(w: Mapping[str, ca.SX], time: ca.SX) -> dict[str, ca.SX]:

@@ -22,12 +22,17 @@ from surctl.marine.sensing import Equipment, Surfaces
 from surctl.marine.sensing.sonar.solids import Solid, SolidBox, SolidDisc
 from surctl.marine.simulation.metrics import ABSENT
 from surctl.marine.simulation.run import Sensing
-from surctl.marine.simulation.thruster_faults import fin_excess
 from surctl.marine.simulation.world import BAND, FOOTPRINT, LONGEST
-from surctl.marine.vehicle import Actuators, PlantForm, plant_state
+from surctl.marine.vehicle import Actuators, PlantForm
 from surctl.priority import Mode
 
-_AROUND = SKIPS + 4  # rows around the robot: from the waypoint before its segment on
+_WINDOW = ("start", *(f"row{k}" for k in range(AHEAD + 1)), "end")
+AROUND = tuple(f"around{k}" for k in range(SKIPS + 4))
+"""Names of the rows around the robot, from the waypoint before its segment on; the end of a control step reads them."""
+ROWS = (*_WINDOW, *AROUND)
+"""Names of the rows of the mission's table that a control period reads."""
+FIRST = Port("first", (1,), "1", "number of the first waypoint in a row in the law's window", 1.0)
+"""The state that a run needs for the law's window."""
 
 
 class Mission:
@@ -40,11 +45,6 @@ class Mission:
     def __init__(self, law: Law, capacity: int, *, rises: bool) -> None:
         self.law, self.capacity, self.rises = law, capacity, rises
 
-    @staticmethod
-    def state() -> Port:
-        """Return the state that a run needs for the law's window: the number of the first waypoint in it."""
-        return Port("first", (1,), "1", "number of the first waypoint in a row in the law's window", 1.0)
-
     def parameters(self, before: Layout) -> tuple[Port, ...]:
         """Return the entries that the mission adds to the parameters of a run, after the entries `before`."""
         return (
@@ -52,28 +52,14 @@ class Mission:
             Port("mission", (self.capacity, ROW), "m, m/s, 1", "one waypoint per row, see Path.table"),
         )
 
-    @property
-    def around(self) -> tuple[str, ...]:
-        """Names of the rows around the robot, which the end of the control step reads."""
-        return tuple(f"around{k}" for k in range(_AROUND))
-
-    @property
-    def _window(self) -> tuple[str, ...]:
-        return ("start", *(f"row{k}" for k in range(AHEAD + 1)), "end")
-
     def steps(self, state: Layout, parameters: Layout) -> tuple[Step, ...]:
         """Return the steps that read state `s` and parameters `w` and write `x`, `p`, `first_next` and the rows."""
         places, feed = self.programs(state, parameters)
         return (
-            Call(places, ("s", "w"), tuple(f"at_{name}" for name in self.rows)),
-            *(Gather("w", f"at_{name}", ROW, name) for name in self.rows),
-            Call(feed, ("s", "w", *self._window), ("x", "p", "first_next")),
+            Call(places, ("s", "w"), tuple(f"at_{name}" for name in ROWS)),
+            *(Gather("w", f"at_{name}", ROW, name) for name in ROWS),
+            Call(feed, ("s", "w", *_WINDOW), ("x", "p", "first_next")),
         )
-
-    @property
-    def rows(self) -> tuple[str, ...]:
-        """Names of the rows of the table that a control period reads."""
-        return (*self._window, *self.around)
 
     def programs(self, state: Layout, parameters: Layout) -> tuple[Program, Program]:
         """Return the programs `places`, to the numbers of the `rows`, and `feed`, to `x`, `p` and `first_next`."""
@@ -85,10 +71,10 @@ class Mission:
         w, known = parameters.symbols("w")
         base = parameters.slice("mission").start // ROW
         numbers = [ca.SX(0), *(old["first"] + k for k in range(AHEAD + 1)), known["legs"]]
-        numbers += [old["leg"] - 1 + k for k in range(_AROUND)]
+        numbers += [old["leg"] - 1 + k for k in range(len(AROUND))]
         places = {
             f"at_{name}": base + ca.fmin(ca.fmax(number, 0), known["legs"])
-            for name, number in zip(self.rows, numbers, strict=True)
+            for name, number in zip(ROWS, numbers, strict=True)
         }
         return lower_named("places", {"s": s, "w": w}, places)
 
@@ -96,7 +82,7 @@ class Mission:
         law = self.law
         s, old = state.symbols("s")
         w, known = parameters.symbols("w")
-        rows = {name: ca.SX.sym(name, ROW) for name in self._window}
+        rows = {name: ca.SX.sym(name, ROW) for name in _WINDOW}
         alone = {} if "law" in old else {"law_state": ca.SX.sym("law_state", law.state.size)}
         x = law.state.split(alone["law_state"] if alone else old["law"])
         table = ca.vertcat(*(rows[f"row{k}"].T for k in range(AHEAD + 1)))
@@ -122,7 +108,7 @@ class Mission:
         The results are the next state of `follow_on`, waypoints around the robot (k, 2) [m], the number of its segment
         among them, and z [m] of the path.
         """
-        table = ca.vertcat(*(rows[name].T for name in self.around))
+        table = ca.vertcat(*(rows[name].T for name in AROUND))
         following, moved = follow_on(old, table[1 : SKIPS + 3, :], w["legs"], old["plant"][:2], visit=w["visited"])
         a, b = table[1, :], table[2, :]
         for k in range(1, SKIPS + 1):
@@ -228,9 +214,8 @@ class Body:
         return SolidDisc(self.centre, self.size, present=self.present)
 
 
-def body_size(kind: BodyKind) -> int:
-    """Return the number of parameters that describe an obstacle of this kind."""
-    return {"box": 4, "disc": 3, "drifting box": 8, "drifting disc": 7, "mover": 8}[kind]
+BODY_SIZES: Mapping[BodyKind, int] = {"box": 4, "disc": 3, "drifting box": 8, "drifting disc": 7, "mover": 8}
+"""Number of parameters that describe an obstacle of each kind."""
 
 
 def body_at(kind: BodyKind, numbers: ca.SX, time: ca.SX) -> Body:
@@ -326,26 +311,3 @@ class Structure:
     def contacts(self) -> int:
         """Number of obstacle points that the law receives."""
         return min(CONTACT_SLOTS, self.moved if self.sensing == "sonar" else len(self.bodies))
-
-
-def driven(structure: Structure, law: Law, parameters: Layout) -> Program:
-    """Return the program from a run's parameters and the law's command to the thrust, with the errors of the scenario.
-
-    With fins, the state of the plant and the law's telemetry are inputs too: a fin gives the force of its deflection at
-    the speed through the water, as in `Thrusters.achieved`.
-    """
-    w, known = parameters.symbols("w")
-    tau, inputs = ca.SX.sym("tau", 4), dict[str, ca.SX]()
-    delivered = tau
-    if structure.actuators is not None and structure.actuators.fins:
-        sizes = {"plant": plant_state(structure.form).size, "telemetry": law.outputs.size - 4}
-        inputs = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
-        forces, commands = (
-            inputs["telemetry"][law.telemetry_slice(name)] for name in ("thruster_force", "thruster_command")
-        )
-        psi = inputs["plant"][3]
-        along = ca.dot(ca.vertcat(ca.cos(psi), ca.sin(psi)), known["current"])
-        speed = ca.fmax(inputs["plant"][4] - along, 0)
-        delivered += fin_excess(structure.actuators, forces, commands, speed * speed)
-    thrust = delivered * known["thrust_gain"] + known["thrust_bias"]
-    return lower_named("drive", {"w": w, "tau": tau, **inputs}, {"thrust": thrust})

@@ -231,7 +231,13 @@ def run_campaign(
             f"{plan.name}: {first + count}/{runs} runs"
             + (f", {rate:.3g} per second" if simulated else ", from the store")
         )
-    table = _table(plan, np.vstack(parts))
+    whole, wide = np.vstack(parts), 1 + len(METRICS)
+    # with true positions the detection range is infinite
+    detection = plan.case.scenario.sensors.equipment.array.maximum if plan.case.sensing == "sonar" else inf
+    each = (plan.run(k) for k in range(runs))
+    broken = tuple(assumptions(run.case, run.draw, detection=detection, fastest=FASTEST) for run in each)
+    values = {name: whole[:, wide + k] for k, name in enumerate(plan.names)}
+    table = RunTable(whole[:, 0].astype(np.int64), whole[:, 1:wide], values, broken)
     return Campaign(plan, table, summarise(table))
 
 
@@ -240,21 +246,6 @@ def _simulate_chunk(plan: Plan, first: int, count: int, threads: int) -> NDArray
     seeds, values = plan.seeds(first, count), plan.values(first, count)
     batch = simulate_batch(plan.case, values, seeds=seeds, threads=threads)
     return np.column_stack([seeds, batch.table, *(values[name] for name in plan.names)])
-
-
-def _table(plan: Plan, whole: NDArray[np.float64]) -> RunTable:
-    wide = 1 + len(METRICS)
-    figures = whole[:, 1:wide]
-    broken = tuple(_broken(plan.run(k)) for k in range(len(whole)))
-    values = {name: whole[:, wide + k] for k, name in enumerate(plan.names)}
-    return RunTable(whole[:, 0].astype(np.int64), figures, values, broken)
-
-
-def _broken(run: SampledRun) -> tuple[str, ...]:
-    # with true positions the detection range is infinite
-    case = run.case
-    sees = case.scenario.sensors.equipment.array.maximum if case.sensing == "sonar" else inf
-    return assumptions(case, run.draw, detection=sees, fastest=FASTEST)
 
 
 def law_of(plan: Plan) -> Law:

@@ -193,10 +193,7 @@ def _end(correlation: Array, number: float) -> int:
     # the last lag before `_QUIET` successive correlations that do not differ from 0 (Politis 2003)
     level = 2.0 * np.sqrt(np.log10(max(number, 10.0)) / number)
     quiet = np.abs(correlation) < level
-    for k in range(len(quiet)):
-        if quiet[k : k + _QUIET].all():
-            return k
-    return len(quiet)
+    return next((k for k in range(len(quiet)) if quiet[k : k + _QUIET].all()), len(quiet))
 
 
 def _window(lag: int) -> Array:

@@ -170,11 +170,6 @@ def names_of(vehicle: Vehicle) -> tuple[str, ...]:
     return (*(k for k in FITTED if k != "thrust_lag" or lagged), *couplings, *_offsets(vehicle))
 
 
-def _masses_of(vehicle: Vehicle) -> tuple[str, ...]:
-    """Return the names of the masses and moments of inertia on the axes of a vehicle: four, or six if it tilts."""
-    return tuple(_MASSES.values())[: 6 if vehicle.form.tilts else 4]
-
-
 def axes_of(name: str) -> frozenset[str]:
     """Return the names of the masses on the axes whose motion a mass, drag or coupling needs; none for other names."""
     if name in OFFSETS or name == "thrust_lag":
@@ -244,9 +239,9 @@ class LogSection:
 def sections_of(log: MotionLog, *, longest: float = LONGEST) -> tuple[LogSection, ...]:
     """Return the sections of a log that have enough rows with motion, each of at most `longest` seconds."""
     step = np.diff(log.time)
-    gap = step > max(_GAP, _GAP_FACTOR * float(np.median(step)))
+    ends = (np.flatnonzero(step > max(_GAP, _GAP_FACTOR * float(np.median(step)))) + 1).tolist()
     sections = []
-    for start, stop in _runs(gap, len(log.time)):
+    for start, stop in zip([0, *ends], [*ends, len(log.time)], strict=True):
         duration = float(log.time[stop - 1] - log.time[start])
         parts = max(int(np.ceil(duration / longest)), 1)
         cuts = np.searchsorted(log.time[start:stop], log.time[start] + duration * np.arange(parts + 1) / parts)
@@ -270,11 +265,6 @@ def drift_sections_of(log: MotionLog) -> tuple[LogSection, ...]:
     rows = 2 * _LEAST_ROWS  # a part that is a little longer than this is halved
     longest = max(_LONGEST_DRIFT, rows * float(np.median(np.diff(log.time))))
     return sections_of(log, longest=longest)
-
-
-def _runs(gap: NDArray[np.bool_], rows: int) -> list[tuple[int, int]]:
-    ends = np.flatnonzero(gap) + 1
-    return list(zip([0, *ends.tolist()], [*ends.tolist(), rows], strict=True))
 
 
 def _section(log: MotionLog, start: int, stop: int) -> LogSection:
@@ -303,7 +293,8 @@ class Model:
     ) -> None:
         self.log, self.sections, self.drift = log, sections, drift
         whole = with_all_constants(start)
-        self.names, self.masses = names_of(whole), _masses_of(whole)
+        self.names = names_of(whole)
+        self.masses = tuple(_MASSES.values())[: 6 if whole.form.tilts else 4]  # and moments of inertia, on the axes
         layout = plant_state(whole.form)
         self.order = layout.size
         self.local = self.order + (8 if drift else 0)  # entries of θ for each section

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,11 +148,8 @@ def _windows(
     time = log.time[section.rows]
     count = max(int((time[-1] - time[0] - after) // window), 0)
     cuts = np.searchsorted(time, time[0] + after + window * np.arange(count + 1) - 1e-9)
-    parts = []
-    for one, other in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
-        if other - one >= _LEAST_ROWS:
-            parts.append((section, section.part(one, other - one)))
-    return parts
+    pairs = pairwise(cuts.tolist())
+    return [(section, section.part(one, other - one)) for one, other in pairs if other - one >= _LEAST_ROWS]
 
 
 def _first_state(log: MotionLog, section: LogSection, part: LogSection, *, lag: float) -> Array | None:

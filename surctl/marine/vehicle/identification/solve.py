@@ -80,47 +80,37 @@ def minimise(
         free: (p,) parameters that may change; the initial states always may.
         tolerance: relative change of the cost at which the iteration ends.
     """
-    theta, converged = _descent(model, theta, noise, sections, free=free, tolerance=tolerance)
-    turned = model.turned_back(theta, sections)
-    if np.array_equal(turned, theta):
-        return theta, converged
-    return _descent(model, turned, noise, sections, free=free, tolerance=tolerance)
-
-
-def _descent(
-    model: Model,
-    theta: Array,
-    noise: Array,
-    sections: tuple[LogSection, ...],
-    *,
-    free: NDArray[np.bool_],
-    tolerance: float,
-) -> tuple[Array, bool]:
     free = np.concatenate([free, np.ones(model.local * len(sections), dtype=bool)])
     low = np.concatenate([model.low, np.full(model.local * len(sections), -np.inf)])
-    cost, damping = model.cost(theta, noise, sections), _DAMPING
-    for _ in range(_TRIES):
-        information, gradient = _normal(model, theta, noise, sections)
-        movable = free & ~((theta <= low) & (gradient > 0))  # at a bound, and the cost decreases beyond it
-        matrix, slope = information[np.ix_(movable, movable)], gradient[movable]
-        while True:
-            change = np.zeros(len(theta))
-            change[movable] = -np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), slope)
-            expected = -0.5 * float(change[movable] @ slope)  # gain of the cost
-            if expected <= 0.1 * tolerance * max(cost, 1.0):
+
+    def descent(theta: Array) -> tuple[Array, bool]:
+        cost, damping = model.cost(theta, noise, sections), _DAMPING
+        for _ in range(_TRIES):
+            information, gradient = _normal(model, theta, noise, sections)
+            movable = free & ~((theta <= low) & (gradient > 0))  # at a bound, and the cost decreases beyond it
+            matrix, slope = information[np.ix_(movable, movable)], gradient[movable]
+            while True:
+                change = np.zeros(len(theta))
+                change[movable] = -np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), slope)
+                expected = -0.5 * float(change[movable] @ slope)  # gain of the cost
+                if expected <= 0.1 * tolerance * max(cost, 1.0):
+                    return theta, True
+                candidate = np.maximum(theta + change, low)
+                after = model.cost(candidate, noise, sections)
+                if after <= cost:
+                    break
+                damping *= 10.0
+                if damping > _MOST_DAMPING:
+                    return theta, True  # no step decreases the cost
+            gained, theta, cost = cost - after, candidate, after
+            damping = max(damping / 10.0, _LEAST_DAMPING)
+            if gained <= tolerance * max(cost, 1.0):
                 return theta, True
-            candidate = np.maximum(theta + change, low)
-            after = model.cost(candidate, noise, sections)
-            if after <= cost:
-                break
-            damping *= 10.0
-            if damping > _MOST_DAMPING:
-                return theta, True  # no step decreases the cost
-        gained, theta, cost = cost - after, candidate, after
-        damping = max(damping / 10.0, _LEAST_DAMPING)
-        if gained <= tolerance * max(cost, 1.0):
-            return theta, True
-    return theta, False
+        return theta, False
+
+    theta, converged = descent(theta)
+    turned = model.turned_back(theta, sections)
+    return (theta, converged) if np.array_equal(turned, theta) else descent(turned)
 
 
 def _normal(model: Model, theta: Array, noise: Array, sections: tuple[LogSection, ...]) -> tuple[Array, Array]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import ceil, sqrt
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from surctl.certcheck.braking_claim import GuardedLaw
 from surctl.errors import InputError, NotApplicable, nearest
@@ -26,11 +26,54 @@ _SENSED = Watch(age=0.2, range_error=0.05, speed_error=0.01)
 _COLUMNS = (0.0, 0.05, 0.10, 0.15)  # [m/s] approach speeds of obstacles in the rule's table
 
 
-class BrakingEntry(NamedTuple):
-    """The statement of a claim in words, and the function that builds the claim."""
+@dataclass(frozen=True)
+class BrakingStatement:
+    """A claim about braking without its vehicle and gains; SI units.
+
+    Attributes:
+        statement: the claim in words.
+        barrier: barrier of the law `guarded`; None for the rule that brakes unless the range needed is available.
+        wide: whether the ranges of the vehicle file replace ±20 %.
+        drag: how drag acts if it is equal in surge and sway.
+        sideways: largest own speed perpendicular to the direction of the obstacle.
+        spins: whether the hull turns with the rate of the gain `spin`.
+        obstacle: approach speed of the obstacles of a law; the rule has a table of them.
+    """
 
     statement: str
-    build: Callable[[str, Vehicle, Gains, float], BrakingClaim]
+    barrier: Barrier | None
+    wide: bool = False
+    drag: Literal["along", "axes"] = "along"
+    sideways: float = 0.22
+    spins: bool = False
+    obstacle: float = 0.0
+
+    def claim(self, name: str, vehicle: Vehicle, gains: Gains, cap: float) -> BrakingClaim:
+        """Return the claim with a name, for a vehicle, its gains and its speed cap [m/s].
+
+        Raises:
+            NotApplicable: the vehicle or the gains violate an assumption of the claim.
+        """
+        _check(vehicle, wide=self.wide)
+        # the inertia bound relies on the share `brake` of the thrust; all else needs all guaranteed thrust
+        share = gains["brake"] if self.barrier == "inertia" else LEAST_THRUST
+        acting, ratio = _drag(vehicle, self.drag, wide=self.wide), _ratio(vehicle, wide=self.wide)
+        numbers = None if self.barrier is None else law_numbers(self.barrier, vehicle, gains, cap=cap)
+        brakes = _diagonal(_true(vehicle, share, wide=self.wide), acting)
+        rule = BrakingClaim(
+            name, brakes, _SENSED, acting, _COLUMNS, _fastest(cap), sideways=self.sideways,
+            side=0.0 if ratio == 1 else brakes.most, speeds=_rows(cap), digests=(vehicle.digest(), "0" * 64),
+            ratio=ratio,
+        )  # fmt: skip
+        if numbers is None or self.barrier is None:
+            return rule
+        law = build_law(barrier=self.barrier, movers="barrier" if self.obstacle else "predict")
+        guarded = replace(
+            rule, watch=Watch(period=law.dt), obstacles=(self.obstacle,), law=numbers, side=brakes.most,
+            fastest=max(_fastest(cap), _attained(numbers, brakes)), turn=gains["spin"] if self.spins else 0.0,
+            digests=(vehicle.digest(), law.block.digest()),
+        )  # fmt: skip
+        return guarded.braking_with(brakes.least)
 
 
 def _true(vehicle: Vehicle, share: float, *, wide: bool) -> Brakes:
@@ -91,58 +134,6 @@ def _check(vehicle: Vehicle, *, wide: bool) -> None:
         )
 
 
-def _rule(*, wide: bool, sideways: float = 0.0) -> Callable[[str, Vehicle, Gains, float], BrakingClaim]:
-    def build(name: str, vehicle: Vehicle, gains: Gains, cap: float) -> BrakingClaim:
-        del gains
-        _check(vehicle, wide=wide)
-        acting = _drag(vehicle, "along", wide=wide)
-        brakes = _diagonal(_true(vehicle, LEAST_THRUST, wide=wide), acting)
-        digests = (vehicle.digest(), "0" * 64)  # there is no law
-        return BrakingClaim(
-            name, brakes, _SENSED, acting, _COLUMNS, _fastest(cap), sideways=sideways,
-            side=0.0 if (ratio := _ratio(vehicle, wide=wide)) == 1 else brakes.most, speeds=_rows(cap), digests=digests,
-            ratio=ratio,
-        )  # fmt: skip
-
-    return build
-
-
-def _guarded(
-    barrier: Barrier,
-    *,
-    wide: bool = False,
-    drag: Literal["along", "axes"] = "along",
-    sideways: float = 0.22,
-    spins: bool = False,
-    obstacle: float = 0.0,
-) -> Callable[[str, Vehicle, Gains, float], BrakingClaim]:
-    def build(name: str, vehicle: Vehicle, gains: Gains, cap: float) -> BrakingClaim:
-        _check(vehicle, wide=wide)
-        numbers = law_numbers(barrier, vehicle, gains, cap=cap)
-        # the inertia bound relies on the share `brake` of the thrust; the simple bound needs all guaranteed thrust
-        brakes = _true(vehicle, LEAST_THRUST if barrier == "simple" else gains["brake"], wide=wide)
-        acting = _drag(vehicle, drag, wide=wide)
-        brakes = _diagonal(brakes, acting)
-        law = build_law(barrier=barrier, movers="barrier" if obstacle else "predict")
-        return BrakingClaim(
-            name,
-            brakes,
-            Watch(period=law.dt),
-            acting,
-            (obstacle,),
-            max(_fastest(cap), _attained(numbers, brakes)),
-            sideways=sideways,
-            turn=gains["spin"] if spins else 0.0,
-            side=brakes.most,
-            law=numbers,
-            speeds=_rows(cap),
-            digests=(vehicle.digest(), law.block.digest()),
-            ratio=_ratio(vehicle, wide=wide),
-        ).braking_with(brakes.least)
-
-    return build
-
-
 def _fastest(cap: float) -> float:
     return _FASTEST if cap <= _CAP else round(OVERSHOOT * cap, 9)
 
@@ -166,35 +157,36 @@ def _rows(cap: float) -> tuple[float, ...]:
     return _SPEEDS if cap <= _CAP else (*_SPEEDS, cap)
 
 
-BRAKING_CLAIMS: Mapping[str, BrakingEntry] = {
-    "braking-rule-20": BrakingEntry(
+BRAKING_CLAIMS: Mapping[str, BrakingStatement] = {
+    "braking-rule-20": BrakingStatement(
         "rule that brakes unless the range needed is available: table of ranges, parameters ±20 %, sensor errors",
-        _rule(wide=False),
+        None, sideways=0.0,
     ),
-    "braking-rule-ranges": BrakingEntry("as braking-rule-20, over the ranges of the vehicle file", _rule(wide=True)),
-    "braking-rule-20-plane": BrakingEntry(
-        "as braking-rule-20, with a speed of up to 0.1 m/s across the latched direction",
-        _rule(wide=False, sideways=0.1),
+    "braking-rule-ranges": BrakingStatement(
+        "as braking-rule-20, over the ranges of the vehicle file", None, wide=True, sideways=0.0
     ),
-    "braking-inertia-20": BrakingEntry(
+    "braking-rule-20-plane": BrakingStatement(
+        "as braking-rule-20, with a speed of up to 0.1 m/s across the latched direction", None, sideways=0.1
+    ),
+    "braking-inertia-20": BrakingStatement(
         "law guarded, barrier inertia: no contact with obstacles at rest, parameters ±20 %, spin, any sideways speed",
-        _guarded("inertia", spins=True),
+        "inertia", spins=True,
     ),
-    "braking-inertia-ranges": BrakingEntry(
-        "as braking-inertia-20, over the ranges of the vehicle file", _guarded("inertia", wide=True, spins=True)
+    "braking-inertia-ranges": BrakingStatement(
+        "as braking-inertia-20, over the ranges of the vehicle file", "inertia", wide=True, spins=True
     ),
-    "braking-inertia-20-axes": BrakingEntry(
+    "braking-inertia-20-axes": BrakingStatement(
         "as braking-inertia-20, with drag and thrust limits axis by axis and up to 0.05 m/s sideways",
-        _guarded("inertia", drag="axes", sideways=0.05, spins=True),
+        "inertia", drag="axes", sideways=0.05, spins=True,
     ),
-    "braking-inertia-20-movers": BrakingEntry(
+    "braking-inertia-20-movers": BrakingStatement(
         "law guarded, barrier on moving obstacles that approach at 0.05 m/s, parameters ±20 %, up to 0.1 m/s sideways",
-        _guarded("inertia", obstacle=0.05, sideways=0.1),
+        "inertia", obstacle=0.05, sideways=0.1,
     ),
-    "braking-simple-20": BrakingEntry(
-        "as braking-inertia-20, with the barrier simple and without spinning", _guarded("simple")
+    "braking-simple-20": BrakingStatement(
+        "as braking-inertia-20, with the barrier simple and without spinning", "simple"
     ),
-}
+}  # fmt: skip
 
 
 def braking_claim_named(name: str, vehicle: Vehicle, gains: Gains, *, cap: float = _CAP) -> BrakingClaim:
@@ -206,4 +198,4 @@ def braking_claim_named(name: str, vehicle: Vehicle, gains: Gains, *, cap: float
     """
     if name not in BRAKING_CLAIMS:
         raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, BRAKING_CLAIMS))
-    return BRAKING_CLAIMS[name].build(name, vehicle, gains, cap)
+    return BRAKING_CLAIMS[name].claim(name, vehicle, gains, cap)

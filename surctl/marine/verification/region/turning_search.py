@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,11 +96,8 @@ class _Part:
     low: float
 
 
-@dataclass
-class _Active:
-    """Numbers of the vertices that mattered in the shells of earlier programs."""
-
-    known: dict[int, set[int]]
+_Active: TypeAlias = dict[int, set[int]]
+"""Numbers of the vertices that mattered in earlier programs, by number of the part."""
 
 
 def _improve(
@@ -132,7 +130,7 @@ def _improve(
     chosen, P = [], np.asarray(np.linalg.inv(bound))
     for number, part in enumerate(parts):
         count = int(np.prod(part.shell.shape))
-        earlier = {k for k in active.known.get(number, ()) if k < count}
+        earlier = {k for k in active.get(number, ()) if k < count}
         chosen.append(earlier or set(rng.integers(count, size=_TIGHT).tolist()))
     for _ in range(_ROUNDS):
         own = [
@@ -240,7 +238,7 @@ def _remember(P: Array, parts: list[_Part], chosen: list[set[int]], active: _Act
         half, effect = transformed(P, part.shell, order)
         values = np.linalg.eigvalsh(half + effect / (part.growth * part.low))[:, -1]
         tight = np.argsort(-values)[:_TIGHT]
-        active.known[k] = set(order[tight].tolist())
+        active[k] = set(order[tight].tolist())
         bound = np.linalg.eigvalsh(half[tight] + effect[tight] / (part.low * grid[:, None, None, None]))[..., -1]
         worst[part.number] = np.maximum(worst.get(part.number, -np.inf), bound.max(axis=1) + grid)
         growths[part.number] = grid
@@ -276,7 +274,7 @@ def turning_search(claim: TurningClaim, *, attempts: int, seed: int = 0) -> Iter
     cruise = fine.coarse(_FINE)
     away = max(map(abs, cruise.moved)) / claim.gains["k1"]
     rng = np.random.default_rng(seed)
-    active = _Active({})
+    active: _Active = {}
     first: list[_Region] = []
     grown: list[_Region] = []
     for smaller in (0, 1, 3, 5):
@@ -371,7 +369,7 @@ def _closer(claim: TurningClaim, fine: Cruise, candidate: TurningCandidate) -> T
                 break
             start = _Start(np.array([factor * levels[0], *levels]), np.array([growths[0], *growths]), size)
         bound = np.linalg.inv(candidate.P) * shrunk[:, None] * shrunk
-        improved = _improve(claim, fine, bound, start, _Active({}))
+        improved = _improve(claim, fine, bound, start, {})
         other = None if improved is None else fitted(claim, fine, improved[0], growths[-1])
         if other is not None and _size(claim, other) >= _SAME * size and _remains(other) < _remains(candidate):
             candidate = other

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,16 +175,6 @@ def fitted(claim: TurningClaim, cruise: Cruise, P: Array, guess: float) -> Turni
 _CELLS, _HELD = 48, 32  # cells of headings; with held commands, each of them is checked twice
 
 
-class Region(NamedTuple):
-    """Stated numbers of a region: offsets [m], ultimate bound [m], largest speed [m/s], and the proof."""
-
-    offset: float
-    rest_offset: float | None
-    ultimate_bound: tuple[float, float]
-    fastest: float
-    proof: dict[str, Any]
-
-
 def raised(candidate: TurningCandidate) -> Iterator[TurningCandidate]:
     """Yield the candidate, then with a higher floor: between the headings of the search, a low shell may not hold."""
     for inner in range(len(candidate.growths)):
@@ -192,16 +182,24 @@ def raised(candidate: TurningCandidate) -> Iterator[TurningCandidate]:
         yield replace(candidate, levels=levels[inner:], growths=growths[inner:], rates=rates[inner:])
 
 
-def region_of(claim: TurningClaim, candidate: TurningCandidate) -> Region:
-    """Return the numbers of the region and the proof of a candidate, without the slopes of ω."""
+def certificate_of(claim: TurningClaim, candidate: TurningCandidate) -> dict[str, Any]:
+    """Return the certificate of a candidate."""
     P = np.array([[float(f"{entry:.9g}") for entry in row] for row in candidate.P])
-    rounded = replace(candidate, P=P)
-    covariance = np.linalg.inv(P)
+    rounded, covariance, cruise = replace(candidate, P=P), np.linalg.inv(P), candidate.cruise
     floor = np.sqrt(np.diag(covariance)[:2] * candidate.levels[0]) * 1.0001
-    cruise = candidate.cruise
     away = max(map(abs, cruise.moved)) / claim.gains["k1"]
-    fastest = claim.cruise + claim.current + np.sqrt(np.linalg.eigvalsh(covariance[2:4, 2:4])[-1])
     start, still = (_down(rounded.start(claim, speed)) for speed in (0.0, -claim.cruise))
+    fastest = float(claim.cruise + claim.current + np.sqrt(np.linalg.eigvalsh(covariance[2:4, 2:4])[-1]))
+    apart = np.abs(
+        np.array(axis_pairs(claim.mass_factor, claim.mass_asymmetry)) @ (claim.mass * np.array([1, -1]))
+    ).max()
+    moment = apart * fastest**2 / 2 + float(other_moment(claim.stated, Fraction(fastest)))
+    stated = claim.document(
+        offset=start,
+        rest_offset=still if still > 0 else None,
+        ultimate_bound=(_up(float(floor[0]) + away), _up(float(floor[1]) + cruise.beside)),
+        munk_moment=_up(float(1.0001 * moment)),
+    )
     proof = {
         "P": [[float(P[i, j]) for j in range(i + 1)] for i in range(6 if claim.lag else 4)],
         "floor": candidate.levels[0],
@@ -215,29 +213,7 @@ def region_of(claim: TurningClaim, candidate: TurningCandidate) -> Region:
         proof["flow"] = cruise.flow.tolist()
     if claim.period:
         proof["thrust"] = {"weight": float(P[-1, -1]), "split": split_of(claim)}
-    return Region(
-        start,
-        still if still > 0 else None,
-        (_up(float(floor[0]) + away), _up(float(floor[1]) + cruise.beside)),
-        float(fastest),
-        proof,
-    )
-
-
-def certificate_of(claim: TurningClaim, candidate: TurningCandidate) -> dict[str, Any]:
-    """Return the certificate of a candidate."""
-    region = region_of(claim, candidate)
-    apart = np.abs(
-        np.array(axis_pairs(claim.mass_factor, claim.mass_asymmetry)) @ (claim.mass * np.array([1, -1]))
-    ).max()
-    moment = apart * region.fastest**2 / 2 + float(other_moment(claim.stated, Fraction(region.fastest)))
-    stated = claim.document(
-        offset=region.offset,
-        rest_offset=region.rest_offset,
-        ultimate_bound=region.ultimate_bound,
-        munk_moment=_up(float(1.0001 * moment)),
-    )
-    return seal("turning", stated, {"proof": {**region.proof, "trim": list(candidate.cruise.slopes)}})
+    return seal("turning", stated, {"proof": {**proof, "trim": list(cruise.slopes)}})
 
 
 def _down(value: float) -> float:
