@@ -22,7 +22,8 @@ class LazyPackage(ModuleType):
         'surctl.tuning.design'
     """
 
-    _homes: Mapping[str, str]
+    _homes: Mapping[str, tuple[str, str]]
+    _cached: bool
 
     def __getattr__(self, name: str) -> Any:
         """Import the module that defines a public name, and return the name's value.
@@ -33,8 +34,10 @@ class LazyPackage(ModuleType):
         home = self.__dict__.get("_homes", {}).get(name)
         if home is None:
             raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
-        value = getattr(import_module(home), name)
-        self.__dict__[name] = value
+        module, attribute = home
+        value = getattr(import_module(module), attribute)
+        if self._cached:
+            self.__dict__[name] = value
         return value
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -47,16 +50,17 @@ class LazyPackage(ModuleType):
         return sorted({*super().__dir__(), *self._homes})
 
 
-_IMPORT = re.compile(r"^ +from (\S+) import (?:\(([^)]*)\)|(.*))$", re.MULTILINE)
+_IMPORT = re.compile(r"^ +from (\S+) import (?:\(([^)]*)\).*|(.*))$", re.MULTILINE)
 
 
-def load_at_first_use(package: str) -> None:
-    """Make a package load each of its modules when one of the module's names is used.
+def load_at_first_use(package: str, *, cache: bool = True) -> None:
+    """Make a package or module load each of its names when the name is used.
 
-    These are the names that the package imports under `TYPE_CHECKING`, for type checkers; `__all__` lists them.
+    These are the names that it imports under `TYPE_CHECKING`, for type checkers, also under another name (`as`).
 
     Args:
         package: full name of the package, its `__name__`.
+        cache: whether a value is stored; else each use finds what the name then means where it is defined.
 
     Example:
         >>> import surctl.tuning
@@ -65,6 +69,10 @@ def load_at_first_use(package: str) -> None:
     """
     module = sys.modules[package]
     source = Path(str(module.__file__)).read_text(encoding="utf-8")
-    imports = ((home, (listed or alone).split(",")) for home, listed, alone in _IMPORT.findall(source))
-    module.__dict__["_homes"] = {name.strip(): home for home, names in imports for name in names if name.strip()}
+    homes = module.__dict__["_homes"] = {}
+    for home, listed, alone in _IMPORT.findall(source):
+        for name in filter(None, map(str.strip, (listed or alone).split(","))):
+            attribute, _, shown = name.partition(" as ")
+            homes[shown or attribute] = home, attribute
+    module.__dict__["_cached"] = cache
     module.__class__ = LazyPackage

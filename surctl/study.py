@@ -85,7 +85,7 @@ class StudyParts(ABC):
 
     @abstractmethod
     def page(self) -> str:
-        """Return the page as HTML; see `surctl.report.study_page.StudyPage`."""
+        """Return the page as HTML; see `surctl.report.study_page.study_page`."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:

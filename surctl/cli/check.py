@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from surctl.cli import lib
 from surctl.cli.options import FOLDER, FiniteRange
 from surctl.cli.output import as_json, finish, printable
 
@@ -45,11 +46,7 @@ def check(
 
     Examples: surctl check proofs/v2-static.json; surctl check firmware/certificate-v2-static.json --bundle firmware
     """
-    from surctl.certcheck import PATIENCE, check_file
-    from surctl.certcheck.belonging import compare
-    from surctl.certcheck.bundle import read_bundle
-
-    outcome = check_file(certificate, time_limit=PATIENCE if time_limit is None else time_limit)
+    outcome = lib.check_file(certificate, time_limit=lib.PATIENCE if time_limit is None else time_limit)
     word = "accepted" if outcome.accepted else f"rejected: {outcome.reason}"
     word += f", but vacuous: {outcome.vacuous}" if outcome.vacuous else ""
     lines = [f"{word} ({outcome.kind or 'unknown kind'}, {outcome.seconds:.2f} s)"]
@@ -66,12 +63,12 @@ def check(
     if bundle is None:
         finish(outcome.to_dict(), printable(lines), as_json=as_json, passed=outcome.accepted, brief=printable(brief))
         return
-    manifest = read_bundle(bundle)
+    manifest = lib.read_bundle(bundle)
     nothing: dict[str, Any] = {"belongs": False, "differs": [], "unbound": [], "undecided": [], "excludes": []}
     result = {**outcome.to_dict(), "bundle": {"id": manifest.id, **nothing}}
     if outcome.accepted:
         # the file is read once: the claim that was checked is the claim that is compared
-        comparison = compare({"kind": outcome.kind, "claim": outcome.claim}, manifest)
+        comparison = lib.compare({"kind": outcome.kind, "claim": outcome.claim}, manifest)
         differs, belongs = list(comparison.differs), comparison.belongs
         if gains_id is not None and gains_id.lower().removeprefix("0x").zfill(8) != manifest.gains_id:
             differs.append(f"gains: the robot reports id {gains_id}, the bundle's is {manifest.gains_id}")

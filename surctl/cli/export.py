@@ -12,39 +12,22 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import click
 
+from surctl.cli import lib
 from surctl.cli.application import to_application
 from surctl.cli.options import FOLDER, Count, option, options
 from surctl.cli.output import as_json, finish, note_replaced, progress, result_command
-from surctl.cli.subject import (
-    OwnSystem,
-    assigned,
-    cost_data,
-    cost_lines,
-    end_text,
-    is_system,
-    load_system,
-    seconds_option,
-)
+from surctl.cli.subject import OwnSystem, assigned, is_system, load_system, seconds_option
 from surctl.errors import InputError, check_known
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from surctl.assessment import Assessment
-    from surctl.export import CheckReport, ProofReport, Records, SilReport
-    from surctl.export.bundle import Bundle
-    from surctl.export.contract import Exportable
-    from surctl.export.emulated import Target
-    from surctl.export.evidence import ReplayedRun
-    from surctl.ir import Real
-    from surctl.system import Record
-
-    Tools: TypeAlias = tuple[Sequence[Target], Mapping[str, tuple[str, ...]]]
+    Tools: TypeAlias = tuple[Sequence[lib.Target], Mapping[str, tuple[str, ...]]]
 
 TARGETS = ("c99", "fmu", "fmu3")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class ExportOptions:
     """The options about the bundle: prefix, output, number type, checks, proof, folder."""
 
@@ -63,13 +46,11 @@ class ExportOptions:
 
     def for_processor(self) -> ExportOptions:
         """Return the options with C as output, and `--check` on the compiler or processor that `--target` names."""
-        from surctl.export.emulated import TARGETS as PROCESSORS
-
-        if self.target not in PROCESSORS:
+        if self.target not in lib.PROCESSORS:
             return self
         return replace(self, target="c99", check=True, targets=",".join(filter(None, (self.targets, self.target))))
 
-    def checked(self, targets: Sequence[str], *, of: str = "") -> tuple[Real, Tools]:
+    def checked(self, targets: Sequence[str], *, of: str = "") -> tuple[lib.Real, Tools]:
         """Return the number type, the compilers and processors of `--check`, and those that are not available.
 
         Raises:
@@ -77,59 +58,54 @@ class ExportOptions:
                 unknown.
             ToolMissing: there is no C compiler.
         """
-        from surctl.export.emulated import TARGETS as PROCESSORS
-        from surctl.export.emulated import chosen_targets
-        from surctl.export.precision import REALS
-        from surctl.ir.cache import find_compiler
-
-        for key, value, known in (("--target", self.target, (*targets, *PROCESSORS)), ("--real", self.real, REALS)):
+        for key, value, known in (
+            ("--target", self.target, (*targets, *lib.PROCESSORS)),
+            ("--real", self.real, lib.REALS),
+        ):
             check_known(value, known, f"is not available{of}", key=key)
         if not self.check and (self.targets or self.steps):
             raise InputError("needs --check", key="--targets" if self.targets else "--steps", remedy="add --check")
-        tools = chosen_targets([name.strip() for name in self.targets.split(",")] if self.targets else ())
-        find_compiler()
-        return REALS[REALS.index(self.real)], tools
+        tools = lib.chosen_targets([name.strip() for name in self.targets.split(",")] if self.targets else ())
+        lib.find_compiler()
+        return lib.REALS[lib.REALS.index(self.real)], tools
 
-    def proved(self, controller: Exportable, bundle: Bundle, limit: Any = None) -> tuple[Bundle, ProofReport | None]:
+    def proved(
+        self, controller: lib.Exportable, bundle: lib.Bundle, limit: Any = None
+    ) -> tuple[lib.Bundle, lib.ProofReport | None]:
         """Return the bundle with its proof, and the proof, if it is requested; else the bundle and None."""
         if not self.prove:
             return bundle, None
-        from surctl.export.prove import prove_bundle, with_proof
-
         progress("proving")
-        proof = prove_bundle(controller, bundle, limit)
-        return with_proof(bundle, proof), proof
+        proof = lib.prove_bundle(controller, bundle, limit)
+        return lib.with_proof(bundle, proof), proof
 
-    def compared(self, controller: Exportable, bundle: Bundle, records: Records, gains: Any, tools: Tools) -> Compared:
+    def compared(
+        self, controller: lib.Exportable, bundle: lib.Bundle, records: lib.Records, gains: Any, tools: Tools
+    ) -> Compared:
         """Return the comparison of C and Python over a run, the report of `--check`, and the binary files."""
-        from surctl.export.check import STEPS, check_builds
-        from surctl.export.fmu import write_fmu
-        from surctl.export.process import build_controller
-        from surctl.export.sil import compare_runs
-
         progress("compiling and replaying")
         binaries, report = dict[str, bytes](), None
         with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
-            compiled = build_controller(controller, bundle, Path(scratch, bundle.name))
-            (sil,) = compare_runs(compiled, [records])
+            compiled = lib.build_controller(controller, bundle, Path(scratch, bundle.name))
+            (sil,) = lib.compare_runs(compiled, [records])
             if self.check:
-                steps, (tried, untried) = self.steps or STEPS, tools
-                report = check_builds(compiled, [records], tried, steps=steps, untried=untried, progress=progress)
+                steps, (tried, untried) = self.steps or lib.STEPS, tools
+                report = lib.check_builds(compiled, [records], tried, steps=steps, untried=untried, progress=progress)
             if self.target != "c99":
                 progress("compiling the functional mock-up unit")
                 fmi = 3 if self.target == "fmu3" else 2
-                unit = write_fmu(controller, bundle, controller.gains.pack(gains), scratch, fmi=fmi)
+                unit = lib.write_fmu(controller, bundle, controller.gains.pack(gains), scratch, fmi=fmi)
                 binaries[unit.path.name] = unit.path.read_bytes()
         return Compared(sil, report, binaries)
 
     def finish(
         self,
         compared: Compared,
-        bundle: Bundle,
-        assessment: Assessment,
+        bundle: lib.Bundle,
+        assessment: lib.Assessment,
         *,
-        proof: ProofReport | None,
-        replay: ReplayedRun,
+        proof: lib.ProofReport | None,
+        replay: lib.ReplayedRun,
         replayed: str,
         about: tuple[Sequence[str], Sequence[str]],
         data: Mapping[str, Any],
@@ -147,14 +123,12 @@ class ExportOptions:
             same: whether C and Python agree.
             then: the commands to suggest next.
         """
-        from surctl.export.evidence import write_evidence
-
         sil, report = compared.sil, compared.report
         known: dict[str, Any] = {"check": report, "proof": proof, "binaries": compared.binaries}
         command = result_command()
         note_replaced(self.out / "manifest.json", command)
         # a bundle appears when it is complete and checked, at once
-        files = write_evidence(bundle, self.out, [replay], [sil], assessment, command=command, **known)
+        files = lib.write_evidence(bundle, self.out, [replay], [sil], assessment, command=command, **known)
         parts = {"sil": sil, "proof": proof, "check": report}
         data = {
             **data,
@@ -186,8 +160,8 @@ class ExportOptions:
 class Compared(NamedTuple):
     """Comparison of C and Python over a run, report of `--check` or None, binary files by name."""
 
-    sil: SilReport
-    report: CheckReport | None
+    sil: lib.SilReport
+    report: lib.CheckReport | None
     binaries: dict[str, bytes]
 
 
@@ -204,7 +178,7 @@ def export(words: tuple[str, ...], seconds: float | None, options: ExportOptions
     to_application(words)
 
 
-def _sil_line(sil: SilReport) -> str:
+def _sil_line(sil: lib.SilReport) -> str:
     import numpy as np
 
     largest = np.max([sil.tau.mixed, sil.state.mixed, sil.telemetry.mixed])
@@ -213,31 +187,24 @@ def _sil_line(sil: SilReport) -> str:
 
 
 def system_bundle(
-    own: OwnSystem, values: Mapping[str, ArrayLike], *, name: str | None = None, real: Real = "float64"
-) -> Bundle:
+    own: OwnSystem, values: Mapping[str, ArrayLike], *, name: str | None = None, real: lib.Real = "float64"
+) -> lib.Bundle:
     """Return the bundle of the system's controller with the gains of a run, and the plant's instruction lists."""
-    from surctl.export.bundle import build_bundle
-    from surctl.export.supplement import PlantLists
-    from surctl.system.values import run_numbers
-
     controller = own.system.controller
-    numbers = run_numbers(own.system, values)
-    plant, gains = PlantLists(own.system.plant, numbers.plant[0]), controller.gains.unpack(numbers.gains[0])
-    return build_bundle(controller, gains, name=name, real=real, supplement=plant)
+    numbers = lib.run_numbers(own.system, values)
+    plant, gains = lib.PlantLists(own.system.plant, numbers.plant[0]), controller.gains.unpack(numbers.gains[0])
+    return lib.build_bundle(controller, gains, name=name, real=real, supplement=plant)
 
 
-def replay_of(own: OwnSystem, record: Record) -> ReplayedRun:
+def replay_of(own: OwnSystem, record: lib.Record) -> lib.ReplayedRun:
     """Return the run of a system for the comparison of C with Python, and for the manifest of its bundle."""
     import numpy as np
 
-    from surctl.export.evidence import ReplayedRun
-    from surctl.system.loop import ENDED
-
-    failure = None if record.stopped == ENDED else record.lost or record.stopped
+    failure = None if record.stopped == lib.ENDED else record.lost or record.stopped
     reference = [float(x) for port in own.system.references for x in np.asarray(record[port.name])[0].ravel()]
-    about: dict[str, Any] = {"system": own.label, "text": end_text(own, record), "failure": failure}
+    about: dict[str, Any] = {"system": own.label, "text": own.end_text(record), "failure": failure}
     about |= {"reference": reference} if np.isfinite(reference).all() else {}
-    return ReplayedRun(about, record)
+    return lib.ReplayedRun(about, record)
 
 
 def export_system(words: Sequence[str], options: ExportOptions, *, seconds: float | None, as_json: bool) -> None:
@@ -246,34 +213,29 @@ def export_system(words: Sequence[str], options: ExportOptions, *, seconds: floa
     Raises:
         InputError: an option is not available, `--check` is missing, or the name is that of a built-in law.
     """
-    from surctl.assessment import ClosedLoop, assess
-    from surctl.export.bundle import check_folder
-    from surctl.export.envelope import as_records
-    from surctl.system import run_system
-
     real, tools = options.checked(TARGETS, of=" for a system of your own")
     own = load_system(words)
     duration, values = own.seconds(seconds), assigned(own.settings)
     name = own.exported_name(options.name)
-    check_folder(options.out)
+    lib.check_folder(options.out)
     controller = own.system.controller
-    record = run_system(own.system, duration, values)
+    record = lib.run_system(own.system, duration, values)
     bundle, proof = options.proved(controller, system_bundle(own, values, name=name, real=real))
     gains = controller.gains.unpack(record.controller[2])
-    compared = options.compared(controller, bundle, as_records(controller, record), gains, tools)
+    compared = options.compared(controller, bundle, lib.as_records(controller, record), gains, tools)
     sil = compared.sil
     data = {
         **own.names,
         "commands": {port.name: port.unit for port in own.system.commands},
         "stopped": record.stopped,
         "duration_s": record.duration,
-        "costs": cost_data(own.system, record.figures),
+        "costs": own.cost_data(record.figures),
         "largest_difference": max(part.absolute for part in (sil.tau, sil.state, sil.telemetry)),
     }
     options.finish(
-        compared, bundle, assess(ClosedLoop(own.system, values, record=record)),
-        proof=proof, replay=replay_of(own, record), replayed=end_text(own, record),
-        about=((), cost_lines(own.system, record.figures)), data=data, same=sil.exact,
+        compared, bundle, lib.assess(lib.ClosedLoop(own.system, values, record=record)),
+        proof=proof, replay=replay_of(own, record), replayed=own.end_text(record),
+        about=((), own.cost_lines(record.figures)), data=data, same=sil.exact,
         # not the same comparison again, after that of --check
         then=[f"make -C {shlex.quote(str(options.out))} check"] if shutil.which("make") and not options.check else [],
         as_json=as_json,

@@ -9,18 +9,15 @@ from typing import Any, NamedTuple
 
 import click
 
+from surctl.cli import lib
 from surctl.cli.application import to_application
 from surctl.cli.output import as_json, finish, printable
-from surctl.cli.subject import RegionWords, command_line, is_system, load_system
+from surctl.cli.subject import RegionWords, is_system, load_system
 from surctl.errors import Finding, InputError, nearest
 
 
 def _lint_system(word: str) -> Linted:
     """Return the findings of a system of the user's own: entries that cannot work, and margins that do not suffice."""
-    from surctl.assessment import ClosedLoop, assess
-    from surctl.system import entry_labels
-    from surctl.system.values import checked_ranges
-
     own = load_system([word])
     system, problems = own.system, list[Finding]()
 
@@ -34,27 +31,27 @@ def _lint_system(word: str) -> Linted:
     if system.duration is not None:
         check(lambda: own.seconds(None))
     for name, ends in system.ranges.items():
-        check(partial(checked_ranges, system, {name: ends}))
-    labels = entry_labels(system.plant.state) + entry_labels(system.controller.state, "controller.")
+        check(partial(lib.checked_ranges, system, {name: ends}))
+    labels = lib.entry_labels(system.plant.state) + lib.entry_labels(system.controller.state, "controller.")
     strange = [name for name in system.within if name not in labels]
     problems += [
         Finding("error", f"within.{n}", f"is not a state of the system; {nearest(n, labels)}") for n in strange
     ]
     if not problems:
-        check(lambda: checked_ranges(system, system.ranges))
+        check(lambda: lib.checked_ranges(system, system.ranges))
     if not problems and system.within:
         check(lambda: RegionWords(system.within, {}, {}).problem(system, {}))
     absent = {"duration": system.duration is None, "costs": not system.costs, "ranges": not system.ranges}
     absent["within"] = not system.within
     problems += [Finding("info", key, f"is not given, so {_ABSENT[key]}") for key, none in absent.items() if none]
     if not any(one.level == "error" for one in problems):
-        judged = assess(ClosedLoop(system), parts=["loop"]).lines
+        judged = lib.assess(lib.ClosedLoop(system), parts=["loop"]).lines
         problems += [
             Finding("warning" if line.counts else "info", "gains", line.text)
             for line in judged
             if line.about and not line.passed
         ]
-    return Linted(word, "system", problems, [command_line("study", own), command_line("verify", own)])
+    return Linted(word, "system", problems, [own.command("study"), own.command("verify")])
 
 
 _ABSENT = {

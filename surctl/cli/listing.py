@@ -7,6 +7,7 @@ from textwrap import wrap
 
 import click
 
+from surctl.cli import lib
 from surctl.cli.application import applications
 from surctl.cli.output import as_json, finish
 from surctl.errors import InputError, nearest
@@ -21,7 +22,6 @@ def listing(show: str | None, as_json: bool) -> None:
     Example: surctl list --show sur540-flooded > my-vehicle.toml
     """
     from surctl import tuning
-    from surctl.system.subjects import registered_subjects
 
     libraries = {kind: folder for one in applications() for kind, folder in one.libraries().items()}
     libraries["goals"] = tuning.LIBRARY
@@ -38,7 +38,7 @@ def listing(show: str | None, as_json: bool) -> None:
         sys.stdout.write(hits[0].read_text(encoding="utf-8"))
         return
     names = {kind: list(group) for kind, group in files.items()}
-    names |= {"subjects": [f"subject:{name}" for name in registered_subjects()]}
+    names |= {"subjects": [f"subject:{name}" for name in lib.registered_subjects()]}
     names |= {kind: list(group) for one in applications() for kind, group in one.listed().items()}
     lines = []
     for kind, group in names.items():

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import click
 
+from surctl.cli import lib
 from surctl.cli.options import FILE
 from surctl.cli.output import as_json, finish
 from surctl.errors import InputError
@@ -46,8 +47,6 @@ def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> N
     Examples: surctl new system pendulum; surctl new vehicle my-robot; surctl new scenario harbour --out
     sites/harbour.toml; surctl new law my-law
     """
-    from surctl.files import quoted
-
     template = next(_TEMPLATES.glob(f"{kind}.*"))
     suffix = ".py" if kind in _IN_PYTHON else ".toml"
     name = name.removesuffix(suffix)
@@ -55,7 +54,7 @@ def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> N
     identifier += "_" * keyword.iskeyword(identifier)
     if kind in _IN_PYTHON and not identifier.isidentifier():
         raise InputError(f"cannot name a {kind}", key="name", value=name, remedy="begin with a letter")
-    text = template.read_text(encoding="utf-8").replace("@NAME@", quoted(name)).replace("@IDENTIFIER@", identifier)
+    text = template.read_text(encoding="utf-8").replace("@NAME@", lib.quoted(name)).replace("@IDENTIFIER@", identifier)
     target = write_new(out or path_of(name, suffix), text, force=force)
     shown = shlex.quote(str(target))
     then = [command.format(shown).replace("@IDENTIFIER@", identifier) for command in _NEXT[kind]]
@@ -80,12 +79,10 @@ def write_new(target: Path, text: str, *, force: bool) -> Path:
     Raises:
         InputError: the file exists and `force` is not set, or the file cannot be written.
     """
-    from surctl.files import write_file
-
     try:
         there = target.exists()
     except OSError as error:  # a file name that is too long
         raise InputError(f"cannot be written ({error.strerror})", file=target, remedy="choose another --out") from None
     if there and not force:
         raise InputError("already exists", file=target, remedy="choose another --out, or add --force")
-    return write_file(target, text)
+    return lib.write_file(target, text)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import field, fields, make_dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import field, fields
 from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from types import MappingProxyType
+from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from surctl.errors import InputError
 
@@ -18,6 +20,8 @@ _OPTION = "surctl.option"  # key of a field's metadata: the name of its option, 
 
 def option(name: str, help: str, default: Any = None, **kind: Any) -> Any:
     """Return a field of a dataclass of options, for `options`.
+
+    The dataclass should have neither comparison nor text (`eq`, `repr`) without need: they take time at each start.
 
     Args:
         name: the option, such as "--gains".
@@ -30,24 +34,24 @@ def option(name: str, help: str, default: Any = None, **kind: Any) -> Any:
     return field(default=default, metadata={_OPTION: (name, kind)})
 
 
-T = TypeVar("T")
-
-
-def only(kind: type[T], *names: str) -> type[T]:
-    """Return a dataclass of which only the named fields are options; the others keep their defaults."""
-    others = [(one.name, one.type, one.default) for one in fields(cast("Any", kind)) if one.name not in names]
-    return make_dataclass(kind.__name__, others, bases=(kind,), frozen=True)
-
-
-def options(**kinds: type[Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def options(
+    *, only: Mapping[str, Collection[str]] = MappingProxyType({}), **kinds: type[Any]
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return a decorator that adds the options of dataclasses to a command, which receives objects of these classes.
 
-    The help lists the options in the order of the fields; see `collected` for the objects.
+    The help lists the options in the order of the fields; see `collected` for the objects. Of a class in `only`, these
+    fields alone are options.
     """
+    chosen = [
+        one
+        for name, kind in kinds.items()
+        for one in fields(kind)
+        if _OPTION in one.metadata and one.name in only.get(name, (one.name,))
+    ]
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         command = collected(**kinds)(command)
-        for one in reversed([one for kind in kinds.values() for one in fields(kind) if _OPTION in one.metadata]):
+        for one in reversed(chosen):
             name, kind = one.metadata[_OPTION]
             command = click.option(name, one.name, **kind)(command)
         return command
@@ -74,6 +78,24 @@ def collected(**kinds: type[Any]) -> Callable[[Callable[..., Any]], Callable[...
         return call
 
     return decorate
+
+
+def changed(group: Any) -> dict[str, Any]:
+    """Return the options of an object of such a dataclass that have another value than their default, by their name."""
+    known = {one.metadata[_OPTION][0]: one for one in fields(group) if _OPTION in one.metadata}
+    return {name: value for name, one in known.items() if (value := getattr(group, one.name)) != one.default}
+
+
+def typed(*others: str) -> list[click.Parameter]:
+    """Return the parameters of the present command that the user gave, without those of the output and the others."""
+    context = click.get_current_context()
+    return [
+        one
+        for one in context.command.params
+        if one.expose_value
+        and one.name not in ("as_json", *others)
+        and context.get_parameter_source(str(one.name)) != ParameterSource.DEFAULT
+    ]
 
 
 class FiniteRange(click.FloatRange):

@@ -25,12 +25,12 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO, TypeVar, cast
 
 import click
 
+from surctl.cli import lib
 from surctl.errors import LOSSES, LOST, SurctlError
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
-    from surctl.verification.verdict import Inapplicable
 
 _ESCAPE = "surctl-escape"
 
@@ -475,7 +475,7 @@ def noting_interrupts() -> Iterator[None]:
         _raised.clear()
 
 
-def refusal_line(refused: Inapplicable) -> str:
+def refusal_line(refused: lib.Inapplicable) -> str:
     """Return one line for a claim that is not applicable."""
     return f"n/a  {refused.claim:<22} {refused.sentence}"
 
@@ -510,10 +510,8 @@ def note_replaced(file: Path, command: str) -> None:
 
 def prepare_out(folder: Path) -> None:
     """Create the folder of `--out`; `finish` names the files of other commands in it that this command replaces."""
-    from surctl.files import changes, prepare_folder
-
-    prepare_folder(folder)
-    click.get_current_context().meta[_FOLDER] = (folder, changes(folder))
+    lib.prepare_folder(folder)
+    click.get_current_context().meta[_FOLDER] = (folder, lib.changes(folder))
 
 
 def print_message(text: str) -> None:

@@ -5,28 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import click
 
+from surctl.cli import lib
 from surctl.cli.application import to_application
 from surctl.cli.options import out_folder
 from surctl.cli.output import as_json, finish, prepare_out, progress, saving, stoppable
-from surctl.cli.subject import (
-    OwnSystem,
-    assigned,
-    command_line,
-    cost_data,
-    cost_lines,
-    end_text,
-    is_system,
-    load_system,
-    seconds_option,
-)
+from surctl.cli.subject import OwnSystem, assigned, is_system, load_system, seconds_option
 from surctl.errors import InputError, check_known
-
-if TYPE_CHECKING:
-    from surctl.system import Record
 
 
 @click.command
@@ -40,9 +28,7 @@ def simulate(
 ) -> None:
     """Simulate a closed loop."""
     if is_system(words):
-        from surctl.recorded_write import RECORD_FORMATS
-
-        check_save(save, RECORD_FORMATS, out=out)
+        check_save(save, lib.RECORD_FORMATS, out=out)
         simulate_own_system(words, seconds=seconds, out=out, save=save or "csv", as_json=as_json)
     to_application(words)
 
@@ -113,7 +99,6 @@ def simulate_own_system(
     words: Sequence[str], *, seconds: float | None, out: Path | None, save: str, as_json: bool
 ) -> None:
     """Simulate one run, print how it ended and its costs, and write signals (as csv, mat or nc) and plot to `out`."""
-
     own = load_system(words)
     duration, values = own.seconds(seconds), assigned(own.settings)
     if out is not None:
@@ -123,45 +108,35 @@ def simulate_own_system(
 
 
 def _ran(own: OwnSystem, values: Mapping[str, Any], duration: float, out: Path | None, save: str) -> Ran:
-    from surctl.assessment import ClosedLoop, assess
-    from surctl.system import LOST, run_system
-
-    record = run_system(own.system, duration, values)
-    assessment = assess(ClosedLoop(own.system, values, record=record), parts=["run"])
+    record = lib.run_system(own.system, duration, values)
+    assessment = lib.assess(lib.ClosedLoop(own.system, values, record=record), parts=["run"])
     judged = [f"{line.mark} {line.text}".strip() for line in assessment.lines if line.about]
-    costs, files = cost_lines(own.system, record.figures), [] if out is None else _write(own, record, out, save)
+    costs, files = own.cost_lines(record.figures), [] if out is None else _write(own, record, out, save)
     data = {
         **own.names,
         "values": {name: value.ravel().tolist() for name, value in values.items()},
         "stopped": record.stopped,
         "not_finite": record.lost or None,
         "duration_s": record.duration,
-        "costs": cost_data(own.system, record.figures),
+        "costs": own.cost_data(record.figures),
         "assessment": assessment.to_dict(),
         "files": [str(file) for file in files],
     }
-    swept = [
-        command_line("sweep", own, a, "--seconds", f"{duration:g}", "--out", "sweep") for a in own.default_axes({})
-    ]
-    then = [command_line("verify", own, *own.settings), *swept[:1]] if record.stopped != LOST else []
+    swept = [own.command("sweep", a, "--seconds", f"{duration:g}", "--out", "sweep") for a in own.default_axes({})]
+    then = [own.command("verify", *own.settings), *swept[:1]] if record.stopped != lib.LOST else []
     good = [line for line in judged if line.startswith("ok ")]
-    brief = [end_text(own, record), *(line for line in judged if line not in good)]
+    brief = [own.end_text(record), *(line for line in judged if line not in good)]
     brief += [*(" ".join(line.split()) for line in costs), *good]
     lines = [brief[0], *costs, *judged, *(f"  {file}" for file in files)]
     return Ran(data, lines, brief, assessment.accepted(), then)
 
 
-def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:
-    from surctl.files import file_name
-    from surctl.system import save_record
-
-    name = file_name(f"{own.system.plant.name}-{own.system.controller.name}")
+def _write(own: OwnSystem, record: lib.Record, out: Path, kind: str) -> list[Path]:
+    name = lib.file_name(f"{own.system.plant.name}-{own.system.controller.name}")
     origin = own.origin | {"values": json.dumps({n: v.tolist() for n, v in assigned(own.settings).items()})}
     files = list[Path]()
     with saving("record"):
-        files.append(save_record(record, out / f"{name}.{kind}", about=origin))
+        files.append(lib.save_record(record, out / f"{name}.{kind}", about=origin))
     with saving("plot"):
-        from surctl.report.theme import save_figure
-
-        files.insert(0, save_figure(record.plot(), out, (name,)))
+        files.insert(0, lib.save_figure(record.plot(), out, (name,)))
     return files

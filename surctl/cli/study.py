@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from surctl.cli import lib
 from surctl.cli.application import to_application
 from surctl.cli.options import FOLDER, Count
 from surctl.cli.output import as_json, finish, note_replaced, same_command, stoppable
 from surctl.cli.subject import is_system, seconds_option
-
-if TYPE_CHECKING:
-    from surctl.study import StudyParts
 
 
 @click.command
@@ -36,7 +34,7 @@ def study(words: tuple[str, ...], out: Path, workers: int, seconds: float | None
 
 
 def conduct_study(
-    study: StudyParts,
+    study: lib.StudyParts,
     out: Path,
     *,
     above: Sequence[str] = (),
@@ -53,11 +51,9 @@ def conduct_study(
         then: returns the commands to suggest next.
         as_json: print the data in place of the lines.
     """
-    from surctl.study import conduct_parts
-
     note_replaced(out / "export" / "manifest.json", study.command)
     with stoppable(f"what is finished is in {out}; to continue: {same_command()}", study.ran, as_json=as_json):
-        conduct_parts(study, out)
+        lib.conduct_parts(study, out)
     assessment, report, code = study.assessment, study.report, out / "export"
     head, marked = f"study {study.title}: {study.verdict}", [f"{line.mark} {line.text}" for line in assessment.lines]
     lines = [head, *above, *marked, *below(), ""]

@@ -12,19 +12,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
+from surctl.cli import lib
 from surctl.cli.application import applications, own_parameters
+from surctl.cli.options import typed
 from surctl.errors import InputError, NotApplicable, check_known, nearest
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import ArrayLike, NDArray
 
-    from surctl.ir import Layout
-    from surctl.lyapunov import Problem
-    from surctl.system import Cost, Record, System
-    from surctl.verification.sampled_margins import LoopCorners, SampledLoop
 
 seconds_option = click.option(
     "--seconds", type=float, metavar="S", help="Length of a run of FILE.py [s] (default: set in FILE.py)."
@@ -45,7 +42,7 @@ class OwnSystem:
         sha256: SHA-256 of the text of the file.
     """
 
-    system: System
+    system: lib.System
     word: str
     label: str
     settings: tuple[str, ...]
@@ -75,15 +72,13 @@ class OwnSystem:
         Raises:
             InputError: the duration is missing, or is not a valid duration.
         """
-        from surctl.system import periods
-
         file, key = (None, "--seconds") if seconds is not None else (self.word, "duration")
         seconds = self.system.duration if seconds is None else seconds
         if seconds is None:
             remedy = "give the duration of a run [s], or System(duration=…)"
             raise InputError("is missing", key="--seconds", remedy=remedy)
         try:
-            steps = periods(self.system, seconds)
+            steps = lib.periods(self.system, seconds)
         except InputError as error:
             raise InputError(error.problem, file=file, key=key, value=seconds, remedy=error.remedy) from None
         if steps > _MOST_PERIODS:
@@ -92,7 +87,7 @@ class OwnSystem:
         return seconds
 
     @property
-    def costs(self) -> Mapping[str, Cost]:
+    def costs(self) -> Mapping[str, lib.Cost]:
         """Return the costs of the system; InputError if it has none."""
         if not self.system.costs:
             raise InputError("has no costs", key="system", value=self.label, remedy="give System(..., costs={...})")
@@ -110,10 +105,8 @@ class OwnSystem:
         Raises:
             InputError: it cannot be the name of a bundle, or it is that of a built-in law.
         """
-        from surctl.export.contract import checked_name
-
         try:
-            chosen = checked_name(self.system.controller, name)
+            chosen = lib.checked_name(self.system.controller, name)
             if any(chosen in one.reserved() for one in applications()):
                 problem, remedy = "is the name of a built-in law", "choose another name"
                 raise InputError(problem, key="name", value=chosen, remedy=remedy)
@@ -123,6 +116,83 @@ class OwnSystem:
             raise error.inside(self.word, "controller" if error.key == "name" else error.key) from None
         return chosen
 
+    def command(self, name: str, *words: str) -> str:
+        """Return the command line that runs a command on this system."""
+        return shlex.join(["surctl", name, self.word, *words])
+
+    def end_text(self, record: lib.Record) -> str:
+        """Return one line with the system, and when and why the run ended."""
+        why = f"{record.stopped}: {record.lost}" if record.lost else record.stopped
+        return f"{self.system.title}: ended after {record.duration:.10g} s ({why}), control period {self.system.dt:g} s"
+
+    def cost_lines(self, figures: Mapping[str, float]) -> list[str]:
+        """Return one line for each cost: name, value with unit, and what it means."""
+        width = max(map(len, figures), default=0)
+        if figures and all(map(math.isnan, figures.values())):
+            return ["  no costs: a run that ends at its start, or is not finite, has none"]
+        lines = []
+        for (name, value), cost in zip(figures.items(), self.system.costs.values(), strict=True):
+            unit, meaning = "" if cost.unit == "1" else f" {cost.unit}", f"  {cost.meaning}" if cost.meaning else ""
+            lines.append(f"  {name:<{width}}  {value:.6g}{unit} ({cost.how}){meaning}")
+        return lines
+
+    def cost_data(self, figures: Mapping[str, float]) -> dict[str, Any]:
+        """Return the costs with unit, kind and meaning, for JSON."""
+        return {
+            name: {"value": figures[name], "unit": cost.unit, "how": cost.how, "meaning": cost.meaning}
+            for name, cost in self.system.costs.items()
+        }
+
+    def loop_lines(self, loop: lib.LoopCorners) -> list[str]:
+        """Return lines of text: equilibrium, slowest mode, margins of each loop alone and of all loops at once."""
+        nominal, period = loop.nominal, self.system.dt
+        lines = [f"{self.system.title}, linear about its equilibrium, with references and disturbances of t = 0:"]
+        lines += [
+            f"  {kind} {label} = {value:.6g} {unit}"
+            for kind, rows in self.resting(loop).items()
+            for label, value, unit in rows
+        ]
+        lines.append(f"sampled every {period:g} s: {nominal.linear.stability}, {len(nominal.poles)} poles")
+        lines.append(f"  slowest mode: {mode_text(nominal)}")
+        return [*lines, *loop.lines()]
+
+    def loop_data(self, loop: lib.LoopCorners) -> dict[str, Any]:
+        """Return equilibrium, poles and margins as plain data for JSON."""
+        nominal, rest = loop.nominal, self.resting(loop)
+        return {
+            "equilibrium": {kind: {label: value for label, value, _ in rows} for kind, rows in rest.items()},
+            "units": {kind: {label: unit for label, _, unit in rows} for kind, rows in rest.items()},
+            **nominal.to_dict(),
+            "marginal": list(nominal.linear.marginal),
+            "slowest_mode": _slowest(nominal),
+            "margins": [margin.to_dict() for margin in nominal.margins],
+            "worst": loop.to_dict()["worst"],
+        }
+
+    def resting(self, loop: lib.LoopCorners) -> dict[str, list[tuple[str, float, str]]]:
+        """Return (label, value, unit) of every number at the equilibrium of the loop, by kind."""
+        assert isinstance(loop.nominal.linear, lib.Linearisation)
+        at = loop.nominal.linear.at
+
+        def rows(layout: lib.Layout, numbers: Sequence[float]) -> list[tuple[str, float, str]]:
+            values = [float(number) + 0.0 for number in numbers]
+            return list(zip(lib.entry_labels(layout), values, lib.entry_units(layout), strict=True))
+
+        return {
+            "state": rows(self.system.plant.state, at.x.tolist()),
+            "controller state": rows(self.system.controller.state, at.z.tolist()),
+            "command": rows(self.system.commands, at.f.tolist()),
+        }
+
+    def gain_ranges(self, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
+        """Return the search ranges of the named gains, or of all; default: a quarter to 4 times the nominal value."""
+        gains, result = self.system.controller.gains, {}
+        nominal = dict(zip(lib.entry_labels(gains), gains.pack().tolist(), strict=True))
+        for name, ends in (ranges or dict.fromkeys(nominal)).items():
+            check_known(name, nominal, "is not a gain of the system", key="--gain")
+            result[name] = lib.default_range(name, nominal[name]) if ends is None else ends
+        return result
+
 
 def is_system(words: Sequence[str]) -> bool:
     """Return whether the words of a common command begin with a system of the user's own.
@@ -131,12 +201,10 @@ def is_system(words: Sequence[str]) -> bool:
         InputError: an option of the command line applies only to a system, or only to an application; or a word names a
             system or a Python file in a position where it is not allowed.
     """
-    from surctl.system.subjects import is_subject
-
     context = click.get_current_context()
-    own = bool(words) and is_subject(words[0])
+    own = bool(words) and lib.is_subject(words[0])
     for word in words[own:]:
-        if is_subject(word):
+        if lib.is_subject(word):
             raise InputError("is not the first argument", key="system", value=word, remedy="give one system, first")
         if word.endswith(".py"):
             raise InputError("names no function", key="system", value=word, remedy=f"write {word}:{_builder(word)}")
@@ -151,12 +219,9 @@ def is_system(words: Sequence[str]) -> bool:
 
 def refuse_others(what: str) -> None:
     """Raise InputError if an option of an application is given, which does not apply to `what`."""
-    context = click.get_current_context()
-    own = own_parameters(context.command)
-    for option in context.command.params:
-        typed = context.get_parameter_source(option.name or "") != ParameterSource.DEFAULT
-        # a table of gains replaces gains of a system, too
-        if isinstance(option, click.Option) and option not in own and typed and option.name != "gains":
+    own = own_parameters(click.get_current_context().command)
+    for option in typed("gains"):  # a table of gains replaces gains of a system, too
+        if isinstance(option, click.Option) and option not in own:
             raise InputError(f"does not apply to {what}", key=option.opts[0], remedy="drop it")
 
 
@@ -169,9 +234,7 @@ def load_system(words: Sequence[str]) -> OwnSystem:
         InputError: the file or function does not exist, the function fails, or it does not return a system; the table
             has other columns than gains, or more than one row.
     """
-    from surctl.system.subjects import load_subject
-
-    subject, typed = load_subject(words[0]), words[1:]
+    subject, typed = lib.load_subject(words[0]), words[1:]
     file = click.get_current_context().params.get("gains")
     known = {} if file is None else _tabled_gains(file, subject.system)
     named = {word.partition("=")[0].strip() for word in typed}
@@ -179,13 +242,12 @@ def load_system(words: Sequence[str]) -> OwnSystem:
     return OwnSystem(subject.system, words[0], subject.label, settings, subject.sha256)
 
 
-def _tabled_gains(file: str, system: System) -> dict[str, float]:
-    from surctl.recorded import read_recorded
-    from surctl.system import entry_labels
-
-    table = read_recorded(Path(file))
+def _tabled_gains(file: str, system: lib.System) -> dict[str, float]:
+    table = lib.read_recorded(Path(file))
     for name in table.columns:
-        check_known(name, entry_labels(system.controller.gains), "is not a gain of the system", key="column", file=file)
+        check_known(
+            name, lib.entry_labels(system.controller.gains), "is not a gain of the system", key="column", file=file
+        )
     if len(table.lines) != 1:
         remedy = "give the file gains.csv of surctl tune"
         raise InputError(f"has {len(table.lines)} rows of gains", file=file, remedy=remedy)
@@ -223,91 +285,11 @@ def listed_values(words: Sequence[str]) -> dict[str, list[float]]:
     return values
 
 
-def command_line(command: str, own: OwnSystem, *words: str) -> str:
-    """Return the command line that runs a command on this system."""
-    return shlex.join(["surctl", command, own.word, *words])
-
-
-def end_text(own: OwnSystem, record: Record) -> str:
-    """Return one line with the system, and when and why the run ended."""
-    why = f"{record.stopped}: {record.lost}" if record.lost else record.stopped
-    return f"{own.system.title}: ended after {record.duration:.10g} s ({why}), control period {own.system.dt:g} s"
-
-
-def cost_lines(system: System, figures: Mapping[str, float]) -> list[str]:
-    """Return one line for each cost: name, value with unit, and what it means."""
-    width = max(map(len, figures), default=0)
-    if figures and all(map(math.isnan, figures.values())):
-        return ["  no costs: a run that ends at its start, or is not finite, has none"]
-    lines = []
-    for (name, value), cost in zip(figures.items(), system.costs.values(), strict=True):
-        unit, meaning = "" if cost.unit == "1" else f" {cost.unit}", f"  {cost.meaning}" if cost.meaning else ""
-        lines.append(f"  {name:<{width}}  {value:.6g}{unit} ({cost.how}){meaning}")
-    return lines
-
-
-def cost_data(system: System, figures: Mapping[str, float]) -> dict[str, Any]:
-    """Return the costs with unit, kind and meaning, for JSON."""
-    return {
-        name: {"value": figures[name], "unit": cost.unit, "how": cost.how, "meaning": cost.meaning}
-        for name, cost in system.costs.items()
-    }
-
-
-def loop_lines(own: OwnSystem, loop: LoopCorners) -> list[str]:
-    """Return lines of text: equilibrium, slowest mode, margins of each loop alone and of all loops at once."""
-    nominal, period = loop.nominal, own.system.dt
-    lines = [f"{own.system.title}, linear about its equilibrium, with references and disturbances of t = 0:"]
-    lines += [
-        f"  {kind} {label} = {value:.6g} {unit}"
-        for kind, rows in resting(own.system, loop).items()
-        for label, value, unit in rows
-    ]
-    lines.append(f"sampled every {period:g} s: {nominal.linear.stability}, {len(nominal.poles)} poles")
-    lines.append(f"  slowest mode: {mode_text(nominal)}")
-    return [*lines, *loop.lines()]
-
-
-def loop_data(own: OwnSystem, loop: LoopCorners) -> dict[str, Any]:
-    """Return equilibrium, poles and margins as plain data for JSON."""
-    nominal, rest = loop.nominal, resting(own.system, loop)
-    return {
-        "equilibrium": {kind: {label: value for label, value, _ in rows} for kind, rows in rest.items()},
-        "units": {kind: {label: unit for label, _, unit in rows} for kind, rows in rest.items()},
-        **nominal.to_dict(),
-        "marginal": list(nominal.linear.marginal),
-        "slowest_mode": _slowest(nominal),
-        "margins": [margin.to_dict() for margin in nominal.margins],
-        "worst": loop.to_dict()["worst"],
-    }
-
-
-def resting(system: System, loop: LoopCorners) -> dict[str, list[tuple[str, float, str]]]:
-    """Return (label, value, unit) of every number at the equilibrium of a system's loop, by kind."""
-    from surctl.system import Linearisation, entry_labels, entry_units
-
-    assert isinstance(loop.nominal.linear, Linearisation)
-    at = loop.nominal.linear.at
-
-    def rows(layout: Layout, numbers: Sequence[float]) -> list[tuple[str, float, str]]:
-        return list(
-            zip(entry_labels(layout), (float(number) + 0.0 for number in numbers), entry_units(layout), strict=True)
-        )
-
-    return {
-        "state": rows(system.plant.state, at.x.tolist()),
-        "controller state": rows(system.controller.state, at.z.tolist()),
-        "command": rows(system.commands, at.f.tolist()),
-    }
-
-
-def _slowest(loop: SampledLoop) -> dict[str, Any]:
+def _slowest(loop: lib.SampledLoop) -> dict[str, Any]:
     """Return magnitude, time constant [s] (negative if unstable) and angular frequency [rad/s] of the slowest pole."""
-    from surctl.system.linear_loop import EDGE
-
     pole, dt = complex(loop.poles[0]), loop.linear.dt
     size = abs(pole)
-    rate = 0.0 if abs(size - 1.0) <= EDGE else math.log(size) / dt if size > 0.0 else -math.inf
+    rate = 0.0 if abs(size - 1.0) <= lib.EDGE else math.log(size) / dt if size > 0.0 else -math.inf
     return {
         "pole": [pole.real, pole.imag],
         "size": size,
@@ -316,7 +298,7 @@ def _slowest(loop: SampledLoop) -> dict[str, Any]:
     }
 
 
-def mode_text(loop: SampledLoop) -> str:
+def mode_text(loop: lib.SampledLoop) -> str:
     """Return what the slowest mode does, as text."""
     mode = _slowest(loop)
     constant, frequency = mode["time_constant_s"], mode["frequency_rad_per_s"]
@@ -342,7 +324,7 @@ class RegionWords:
     ranges: Mapping[str, tuple[float, float]]
     claim: Mapping[str, str]
 
-    def problem(self, system: System, values: Mapping[str, ArrayLike]) -> Problem | NotApplicable:
+    def problem(self, system: lib.System, values: Mapping[str, ArrayLike]) -> lib.Problem | NotApplicable:
         """Return the problem of finding and proving a region of attraction of the system, or why it has none.
 
         Raises:
@@ -350,15 +332,10 @@ class RegionWords:
         """
         import numpy as np
 
-        from surctl.lyapunov import Problem, sampled_dynamics
-        from surctl.lyapunov.equilibrium import require_common
-        from surctl.system.values import default_of
-        from surctl.verification.formula import parse, variable
-
         try:
-            dynamics = sampled_dynamics(system, self.within, values=values, ranges=self.ranges)
-            own = {name: default_of(system, name) for name in {**system.ranges, **self.ranges}}
-            require_common(dynamics, {name: float(np.ravel(values.get(name, one))[0]) for name, one in own.items()})
+            dynamics = lib.sampled_dynamics(system, self.within, values=values, ranges=self.ranges)
+            own = {name: lib.default_of(system, name) for name in {**system.ranges, **self.ranges}}
+            lib.require_common(dynamics, {name: float(np.ravel(values.get(name, one))[0]) for name, one in own.items()})
         except NotApplicable as reason:
             return reason
         numbers: dict[str, float | None] = {}
@@ -369,15 +346,15 @@ class RegionWords:
                 raise InputError("is not positive", key=f"{_CLAIM}{key}", value=text, remedy="give a positive number")
         function = None
         if "function" in self.claim:
-            known = {name: variable(name) for name in dynamics.names}
-            function = parse(self.claim["function"], known, key=f"{_CLAIM}function")
+            known = {name: lib.variable(name) for name in dynamics.names}
+            function = lib.parse(self.claim["function"], known, key=f"{_CLAIM}function")
         elif numbers["level"] is not None:
             raise InputError("is given without a function", key=f"{_CLAIM}level", remedy="give lyapunov.function too")
-        return Problem(dynamics, "lyapunov", function, numbers["level"], numbers["rate"])
+        return lib.Problem(dynamics, "lyapunov", function, numbers["level"], numbers["rate"])
 
 
 def region_words(
-    words: Sequence[str], system: System
+    words: Sequence[str], system: lib.System
 ) -> tuple[list[str], RegionWords | None, dict[str, tuple[float, float]]]:
     """Separate the words about a region of attraction and the ranges from the others.
 
@@ -426,34 +403,13 @@ def _range(text: str, name: str) -> tuple[float, float]:
 
 
 def _finite_number(text: str, name: str) -> float:
-    from math import isfinite
-
     try:
         value = float(text)
     except ValueError:
         value = float("nan")
-    if not isfinite(value):
+    if not math.isfinite(value):
         raise InputError("is not a number", key=name, value=text, remedy="write such as 1.5")
     return value
-
-
-def gain_ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
-    """Return the search ranges of the named gains, or of all gains; default: a quarter to 4 times the nominal value."""
-    from surctl.tuning.design import default_range
-
-    nominal, result = nominal_gains(own), {}
-    for name, ends in (ranges or dict.fromkeys(nominal)).items():
-        check_known(name, nominal, "is not a gain of the system", key="--gain")
-        result[name] = default_range(name, nominal[name]) if ends is None else ends
-    return result
-
-
-def nominal_gains(own: OwnSystem) -> dict[str, float]:
-    """Return the system's own gains by name."""
-    from surctl.system import entry_labels
-
-    gains = own.system.controller.gains
-    return dict(zip(entry_labels(gains), gains.pack().tolist(), strict=True))
 
 
 def _builder(word: str) -> str:

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surctl.cli import lib
 from surctl.cli.application import to_application
 from surctl.cli.options import FOLDER, Count, option, options
 from surctl.cli.output import as_json, finish, progress, same_command, saving, stoppable
-from surctl.cli.subject import OwnSystem, command_line, is_system, load_system, seconds_option
+from surctl.cli.subject import OwnSystem, is_system, load_system, seconds_option
 from surctl.errors import InputError, check_known
 
 if TYPE_CHECKING:
@@ -24,15 +25,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from surctl.system import Runs, System
-    from surctl.tuning import Design, Executor, SobolIndices, SweepSubject, SweepTable
-    from surctl.tuning.system_sweep import Choice
 
 _SHOWN = 40  # largest number of points in the text output; the file holds all points
 _MOST_JSON = 100_000  # largest number of points printed as JSON
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class SweepOptions:
     """The options about the points of a sweep of any subject, and about what computes it."""
 
@@ -55,13 +53,11 @@ class SweepOptions:
         type=FOLDER,
     )
 
-    def executor(self) -> Executor:
+    def executor(self) -> lib.Executor:
         """Return what computes the chunks."""
-        from surctl.tuning import DaskExecutor, LocalExecutor
-
         if self.workers is not None and self.dask is not None:
             raise click.UsageError("--workers and --dask exclude each other")
-        return LocalExecutor(self.workers or 2) if self.dask is None else DaskExecutor(self.dask)
+        return lib.LocalExecutor(self.workers or 2) if self.dask is None else lib.DaskExecutor(self.dask)
 
 
 @click.command
@@ -81,20 +77,16 @@ def sweep(words: tuple[str, ...], options: SweepOptions, seconds: float | None, 
     _run(job, executor, options, as_json=as_json)
 
 
-def _run(job: SweepJob, executor: Executor | None, options: SweepOptions, *, as_json: bool) -> None:
+def _run(job: SweepJob, executor: lib.Executor | None, options: SweepOptions, *, as_json: bool) -> None:
     """Run the sweep, write its tables and pictures, and end the command."""
-    from surctl.files import prepare_folder
-    from surctl.tuning import sobol_indices
-    from surctl.tuning import sweep as run_sweep
-
     out, sensitivity = options.out, options.sensitivity
     if as_json and job.count > _MOST_JSON:
         problem, remedy = f"would print {job.count} {job.counted}", f"drop this option and read {job.file}"
         raise InputError(problem, key="--json", remedy=remedy)
-    prepare_folder(out)
+    lib.prepare_folder(out)
     with stoppable(f"the finished {job.counted} are in {out}; to continue: {same_command()}"):
-        table = run_sweep(job.subject, job.design, executor=executor, out=out, progress=progress)
-    sobol = None if sensitivity is None else sobol_indices(job.design, table.mean(sensitivity), sensitivity)
+        table = lib.sweep(job.subject, job.design, executor=executor, out=out, progress=progress)
+    sobol = None if sensitivity is None else lib.sobol_indices(job.design, table.mean(sensitivity), sensitivity)
     summary = job.summary(table, sobol, out, as_json)
     pictures = _pictures(job, table, sobol, out, summary.pictures)
     where = [f"{name} {path}" for name, path in summary.files.items()]
@@ -126,43 +118,40 @@ class SweepSummary:
 class SweepJob:
     """What the command line asks for; `plotted` are the columns in pictures, `mapped` those of heat maps."""
 
-    subject: SweepSubject
-    design: Design
+    subject: lib.SweepSubject
+    design: lib.Design
     count: int
     counted: str
     file: str
     plotted: Sequence[str]
     mapped: Sequence[str]
     titles: Mapping[str, str]
-    summary: Callable[[SweepTable, SobolIndices | None, Path, bool], SweepSummary]
+    summary: Callable[[lib.SweepTable, lib.SobolIndices | None, Path, bool], SweepSummary]
 
 
 def _pictures(
     job: SweepJob,
-    table: SweepTable,
-    sobol: SobolIndices | None,
+    table: lib.SweepTable,
+    sobol: lib.SobolIndices | None,
     out: Path,
     more: Mapping[tuple[str, ...], Callable[[], Figure | Axes]],
 ) -> list[Path]:
     pictures = list[Path]()
     with saving("plots"):
-        from surctl.report import plot_heat_map, plot_parallel
-        from surctl.report.theme import save_figure
-
         figures: dict[tuple[str, ...], Callable[[], Figure | Axes]] = {}
         if sobol is not None:
             figures["sensitivity", sobol.column] = sobol.plot
         elif table.axes:
             plotted = [name for name in job.plotted if name in table.columns]
-            figures["sweep", "parallel"] = partial(plot_parallel, table, plotted, titles=job.titles)
+            figures["sweep", "parallel"] = partial(lib.plot_parallel, table, plotted, titles=job.titles)
             names = [axis.name for axis in table.axes[:2]]
             for column in job.mapped if table.is_grid and len(names) > 1 else ():
-                figures["sweep", *names, column] = partial(plot_heat_map, table, column, titles=job.titles)
+                figures["sweep", *names, column] = partial(lib.plot_heat_map, table, column, titles=job.titles)
         for words, draw in (figures | dict(more)).items():
             with saving(" ".join(words)):
                 if (stem := Path(str(table.path)).stem) != "sweep":  # the folder's sweep.nc is of another request
                     words = (stem, *words[words[0] == "sweep" :])
-                pictures.append(save_figure(draw(), out, words))
+                pictures.append(lib.save_figure(draw(), out, words))
     return pictures
 
 
@@ -172,40 +161,33 @@ _NAMED = 5  # largest number of points that a line names
 
 def _own(words: Sequence[str], options: SweepOptions, seconds: float | None) -> SweepJob:
     """Return the sweep of a system that the words and options ask for."""
-    from surctl.tuning import SystemSweep, parse_axis
-    from surctl.tuning.system_sweep import choices_and_draws
-
     own = load_system(words)
     duration, costs = own.seconds(seconds), list(own.costs)
     design = options.design if options.sensitivity is None else "saltelli"
     if options.sensitivity is not None:
         check_known(options.sensitivity, costs, "is not a cost of the system", key="--sensitivity")
-    axes = [parse_axis(text) for text in own.settings]
-    chosen, draws = choices_and_draws(own.system, axes, design=design, points=options.points, seeds=options.seeds)
+    axes = [lib.parse_axis(text) for text in own.settings]
+    chosen, draws = lib.choices_and_draws(own.system, axes, design=design, points=options.points, seeds=options.seeds)
     threads = options.workers or (2 if options.dask is None else 1)
-    subject = SystemSweep(own.system, duration, draws, threads=threads, about=own.origin, source=own.word)
+    subject = lib.SystemSweep(own.system, duration, draws, threads=threads, about=own.origin, source=own.word)
     count, summary = len(chosen.points) * max(map(len, draws.values()), default=1), partial(_run_summary, own, duration)
     return SweepJob(subject, chosen, count, "runs", "sweep.csv", costs, costs, {}, summary)
 
 
 def _run_summary(
-    own: OwnSystem, duration: float, table: SweepTable, sobol: SobolIndices | None, out: Path, as_json: bool
+    own: OwnSystem, duration: float, table: lib.SweepTable, sobol: lib.SobolIndices | None, out: Path, as_json: bool
 ) -> SweepSummary:
-    from surctl.recorded_write import write_csv
-    from surctl.system import LOST
-    from surctl.tuning.system_sweep import chosen_points, runs_of
-
-    system, runs, at = own.system, runs_of(table, own.system), table.numbers()
+    system, runs, at = own.system, lib.runs_of(table, own.system), table.numbers()
     count, files = len(runs.time), dict[str, Path]()
     with saving("table"):
         columns: dict[str, Sequence[Any]] = {name: values.tolist() for name, values in at.items()}
         columns |= {f"{name} [{c.unit}]": runs[name].tolist() for name, c in system.costs.items()}
         columns |= {"stopped": runs.stopped.tolist(), "duration [s]": runs.time.tolist()}
-        files["table"] = write_csv(Path(str(table.path)).with_suffix(".csv"), columns)
+        files["table"] = lib.write_csv(Path(str(table.path)).with_suffix(".csv"), columns)
     files["netCDF"] = Path(str(table.path))
-    choices = chosen_points(table, system)
+    choices = lib.chosen_points(table, system)
     best = best_points(table, system, choices)
-    lost = [k for k, stopped in enumerate(runs.stopped) if stopped == LOST]
+    lost = [k for k, stopped in enumerate(runs.stopped) if stopped == lib.LOST]
     head = f"{system.title}: {count} runs of {duration:g} s, control period {system.dt:g} s"
     lines = [head, *(point_rows(table, list(system.costs), runs) if sobol is None else sobol.lines())]
     best_lines = [best_line(table, system, name, row, choices[name]) for name, row in best.items()]
@@ -233,7 +215,7 @@ def _run_summary(
     then = []
     for row in list(best.values())[:1]:
         numbers = [f"{name}={value!r}" for name, value in (row["at"] | row["random"]).items()]
-        then = [command_line("simulate", own, *numbers, "--seconds", f"{duration:g}")]
+        then = [own.command("simulate", *numbers, "--seconds", f"{duration:g}")]
     return SweepSummary(
         lines, [head, *best_lines, *failures, *infinite], data,
         passed=bool(best) and all(choice.assessment.accepted() for choice in choices.values()), then=then, files=files,
@@ -241,12 +223,10 @@ def _run_summary(
     )  # fmt: skip
 
 
-def _lost_number(system: System, runs: Runs, at: Mapping[str, NDArray[np.float64]], k: int) -> str:
+def _lost_number(system: lib.System, runs: lib.Runs, at: Mapping[str, NDArray[np.float64]], k: int) -> str:
     """Return the number of run k that is not finite, from a run in Python; "" if that run would take too long."""
-    from surctl.system import run_system
-
     periods = round(float(runs.time[k]) / system.dt) + 2
-    return run_system(system, periods * system.dt, _at(at, k)).lost if periods < _MOST_REPEATED else ""
+    return lib.run_system(system, periods * system.dt, _at(at, k)).lost if periods < _MOST_REPEATED else ""
 
 
 def _at(numbers: Mapping[str, NDArray[np.float64]], k: int) -> dict[str, float]:
@@ -257,12 +237,12 @@ def _numbers(at: dict[str, float]) -> str:
     return ", ".join(f"{name}={value:.6g}" for name, value in at.items())
 
 
-def _result(runs: Runs, k: int) -> dict[str, Any]:
+def _result(runs: lib.Runs, k: int) -> dict[str, Any]:
     costs = {name: float(values[k]) for name, values in runs.figures.items()}
     return {"costs": costs, "stopped": str(runs.stopped[k]), "duration_s": float(runs.time[k])}
 
 
-def point_rows(table: SweepTable, columns: Iterable[str], runs: Runs | None = None) -> list[str]:
+def point_rows(table: lib.SweepTable, columns: Iterable[str], runs: lib.Runs | None = None) -> list[str]:
     """Return a line for each of the first points, with its parameters and the named columns."""
     rows, each, count = list[str](), table.each, math.prod(table.shape)
     known = {name: (table.worst(name).ravel(), table.mean(name).ravel()) for name in columns if name in table.columns}
@@ -286,37 +266,30 @@ def point_rows(table: SweepTable, columns: Iterable[str], runs: Runs | None = No
 
 
 def _ended(stopped: str, time: float) -> str:
-    from surctl.system.loop import ENDED
-
-    return "" if stopped == ENDED else f"  ({stopped} at {time:.6g} s)"
+    return "" if stopped == lib.ENDED else f"  ({stopped} at {time:.6g} s)"
 
 
 def _ends(stopped: NDArray[np.str_]) -> str:
     """Return how many runs of a point ended early, with an upper bound of the probability."""
-    from surctl.system.loop import ENDED
-    from surctl.tuning.statistics import Share
-
     ends = Counter(stopped.tolist())
-    early = len(stopped) - ends.pop(ENDED, 0)
+    early = len(stopped) - ends.pop(lib.ENDED, 0)
     reasons = ", ".join(f"{count} {reason}" for reason, count in sorted(ends.items())) or "0 ended early"
-    return f"  ({reasons}; at most {100 * Share(early, len(stopped)).at_most():.3g} % at 95 % confidence)"
+    return f"  ({reasons}; at most {100 * lib.Share(early, len(stopped)).at_most():.3g} % at 95 % confidence)"
 
 
-def best_points(table: SweepTable, system: System, choices: Mapping[str, Choice]) -> dict[str, Any]:
+def best_points(table: lib.SweepTable, system: lib.System, choices: Mapping[str, lib.Choice]) -> dict[str, Any]:
     """Return, for each cost, the chosen point, its assessment, and the range of finite values.
 
     `costs`, `stopped` and `duration_s` are of the worst run, whose random numbers are `random`.
     """
     import numpy as np
 
-    from surctl.tuning.system_sweep import run_at, runs_of
-
-    best, runs = dict[str, Any](), runs_of(table, system)
+    best, runs = dict[str, Any](), lib.runs_of(table, system)
     for name, choice in choices.items():
         worst = table.worst(name)
         finite = worst[np.isfinite(worst)]
         means = {other: float(table.mean(other).reshape(-1)[choice.point]) for other in system.costs}
-        at, random = run_at(table, choice.run)
+        at, random = lib.run_at(table, choice.run)
         best[name] = _result(runs, choice.run) | {
             "at": at, "random": random, "mean": means,
             "least": float(finite.min()), "largest": float(finite.max()), "passed_over": choice.passed_over,
@@ -325,7 +298,7 @@ def best_points(table: SweepTable, system: System, choices: Mapping[str, Choice]
     return best
 
 
-def best_line(table: SweepTable, system: System, name: str, row: dict[str, Any], choice: Choice) -> str:
+def best_line(table: lib.SweepTable, system: lib.System, name: str, row: dict[str, Any], choice: lib.Choice) -> str:
     """Return one line with the chosen point of a cost, its value, the range of the cost, and what fails."""
     count = math.prod(table.shape)
     unit, end = system.costs[name].unit, _ended(row["stopped"], row["duration_s"])

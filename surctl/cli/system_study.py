@@ -12,19 +12,7 @@ from surctl import __version__
 from surctl.assessment import Assessment, ClosedLoop, assess
 from surctl.cli.export import replay_of, system_bundle
 from surctl.cli.output import progress, saving, timed
-from surctl.cli.subject import (
-    OwnSystem,
-    assigned,
-    command_line,
-    cost_data,
-    cost_lines,
-    end_text,
-    load_system,
-    loop_data,
-    mode_text,
-    region_words,
-    resting,
-)
+from surctl.cli.subject import OwnSystem, assigned, load_system, mode_text, region_words
 from surctl.cli.sweep import best_line, best_points
 from surctl.errors import InputError, NotApplicable
 from surctl.export import Bundle, Exportable
@@ -56,11 +44,11 @@ class _SystemStudy(StudyParts):
         self.best, self.best_lines = dict[str, Any](), list[str]()
         time = ("--seconds", f"{self.duration:g}")
         self.commands = {
-            "run": command_line("simulate", own, *others, *time, "--out", "run"),
-            "verify": command_line("verify", own, *[w for w in own.settings if w not in stated], "--out", "proofs"),
-            "sweep": command_line("sweep", own, *axes, *self.about, *time),
+            "run": own.command("simulate", *others, *time, "--out", "run"),
+            "verify": own.command("verify", *[w for w in own.settings if w not in stated], "--out", "proofs"),
+            "sweep": own.command("sweep", *axes, *self.about, *time),
         }
-        command = command_line("study", own, *own.settings, *time, "--out", str(out))
+        command = own.command("study", *own.settings, *time, "--out", str(out))
         super().__init__(command=command, workers=workers, progress=progress, saving=saving)
 
     @property
@@ -72,7 +60,7 @@ class _SystemStudy(StudyParts):
 
     def simulate(self) -> Sequence[ReplayedRun]:
         self.record = run_system(self.own.system, self.duration, self.values)
-        self.ran += [end_text(self.own, self.record), *cost_lines(self.own.system, self.record.figures)]
+        self.ran += [self.own.end_text(self.record), *self.own.cost_lines(self.record.figures)]
         return [replay_of(self.own, self.record)]
 
     def assess(self) -> Assessment:
@@ -108,11 +96,11 @@ class _SystemStudy(StudyParts):
         from surctl.report import study_page as parts
 
         system, loop, verify, swept = self.own.system, self._loop, self.commands["verify"], self.sweep
-        rest, mode = ({}, "") if loop is None else (resting(system, loop), mode_text(loop.nominal))
+        rest, mode = ({}, "") if loop is None else (self.own.resting(loop), mode_text(loop.nominal))
         sweep = None
         if swept is not None:
             sweep = parts.costs_section(swept, system, self.best_lines, self.commands["sweep"])
-        return parts.StudyPage(
+        return parts.study_page(
             title=f"Study of {self.title}",
             about=f"Plant {system.plant.name}, controller {system.controller.name}, control period {system.dt:g} s.",
             command=self.command,
@@ -128,7 +116,7 @@ class _SystemStudy(StudyParts):
             export=parts.export_section("The step of the controller as C99.", self.files, self.sil),
             seconds=self.seconds,
             numbers=[parts.signals_section(self.record)],
-        ).render()
+        )
 
     def to_dict(self) -> dict[str, Any]:
         loop, solution = self._loop, self.assessment.sources.get("region")
@@ -136,8 +124,8 @@ class _SystemStudy(StudyParts):
             **self.own.names,
             **self.common(),
             "stopped": self.record.stopped,
-            "costs": cost_data(self.own.system, self.record.figures),
-            "linear": None if loop is None else loop_data(self.own, loop),
+            "costs": self.own.cost_data(self.record.figures),
+            "linear": None if loop is None else self.own.loop_data(loop),
             "region": None if solution is None else solution.to_dict(),
             "best": self.best,
         }
@@ -151,7 +139,7 @@ class _SystemStudy(StudyParts):
         at = next((row["at"] for row in self.best.values() if row["accepted"]), None)
         if at is None:
             return [self.commands["run"]]
-        return [command_line("verify", self.own, *self.about, *(f"{name}={value!r}" for name, value in at.items()))]
+        return [self.own.command("verify", *self.about, *(f"{name}={value!r}" for name, value in at.items()))]
 
 
 def study_of(words: Sequence[str], *, seconds: float | None, workers: int, out: Path) -> _SystemStudy:

@@ -9,10 +9,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from surctl.cli import lib
 from surctl.cli.application import to_application
 from surctl.cli.options import FOLDER, Count, option, options
 from surctl.cli.output import (
@@ -27,29 +28,11 @@ from surctl.cli.output import (
     stoppable,
     waiting,
 )
-from surctl.cli.subject import (
-    OwnSystem,
-    assigned,
-    command_line,
-    cost_data,
-    gain_ranges_of,
-    is_system,
-    listed_values,
-    load_system,
-    region_words,
-    seconds_option,
-)
+from surctl.cli.subject import OwnSystem, assigned, is_system, listed_values, load_system, region_words, seconds_option
 from surctl.errors import InputError
 
-if TYPE_CHECKING:
-    from surctl.assessment import Assessment, Part
-    from surctl.report.design_bench import DesignBench
-    from surctl.tuning import RunGoal, SystemRequest, Tuning
-    from surctl.tuning.outcome import Finals, Miss
-    from surctl.tuning.pool import SearchRequest
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class TuneOptions:
     """The options about a search of any subject, and about its page."""
 
@@ -115,20 +98,14 @@ def tune(words: tuple[str, ...], options: TuneOptions, seconds: float | None, as
 
 def _search(task: Task, options: TuneOptions, *, as_json: bool) -> None:
     """Search gains, test them, write them, and print each goal and figure before and after."""
-    from surctl.files import prepare_folder, write_file
-    from surctl.tuning import summary
-    from surctl.tuning import tune as run_tuning
-    from surctl.tuning.goals import not_representative
-    from surctl.tuning.outcome import advice, check_finals, misses, tuning_dict
-
     trials, rounds, out = options.trials, options.rounds, options.out
     runs = task.tested if options.runs is None else options.runs
-    prepare_folder(out)
+    lib.prepare_folder(out)
     best, _ = task.request.so_far({}, "")
     message = f"the finished trials are in {out}, the best gains in {out / best}; to continue: {same_command()}"
     with stoppable(message):
-        tuning = run_tuning(task.request, trials=trials, rounds=rounds, runs=runs, folder=out, progress=progress)
-        tuned = check_finals(tuning, task.finals, task.assessed, default=task.default, progress=progress)
+        tuning = lib.tune(task.request, trials=trials, rounds=rounds, runs=runs, folder=out, progress=progress)
+        tuned = lib.check_finals(tuning, task.finals, task.assessed, default=task.default, progress=progress)
     (tuning, checked), unmet = tuned, tuned.unmet
     warning = ""
     if unmet:
@@ -138,18 +115,18 @@ def _search(task: Task, options: TuneOptions, *, as_json: bool) -> None:
     verdict = verdict * (not comparison.after.accepted())
     note = warning or "".join(verdict)
     note_replaced(out / "tuning.json", result_command())
-    gains_path = write_file(*task.gain_file(tuning, out, note))
+    gains_path = lib.write_file(*task.gain_file(tuning, out, note))
     (out / best).unlink(missing_ok=True)
     more = task.more(tuning, checked, str(gains_path), trials)
-    doubtful = not_representative(task.request.goals, comparison.after, **task.limit)
-    result = tuning_dict(tuning) | more.data | {"not_representative": doubtful, "accepted": accepted}
+    doubtful = lib.not_representative(task.request.goals, comparison.after, **task.limit)
+    result = lib.tuning_dict(tuning) | more.data | {"not_representative": doubtful, "accepted": accepted}
     result |= {
         "command": result_command(),
         "unmet": list(unmet),
         "finals": checked.to_dict(),
         "assessment": comparison.to_dict(),
     }
-    everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
+    everything = lib.write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
     pictures = list[Path]()
     with saving("plots"):
         pictures = task.pictures(tuning, out)
@@ -160,11 +137,11 @@ def _search(task: Task, options: TuneOptions, *, as_json: bool) -> None:
     if unmet and tuning.accepted:
         lines += ["", warning]
     if not tuning.accepted:
-        missed, (remedy, longer) = misses(tuning), advice(tuning, trials=trials)
+        missed, (remedy, longer) = lib.misses(tuning), lib.advice(tuning, trials=trials)
         lines += ["", warning, *(f"  {miss.text}" for miss in missed), f"  {remedy}"]
         then = [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else task.look(missed, str(gains_path))
     brief = ["; better: ".join([headline, *comparison.gained[:1]]), *([warning] if warning else []), *verdict]
-    brief += [*more.floor, *summary(tuning)[-2:]]
+    brief += [*more.floor, *lib.summary(tuning)[-2:]]
     brief += [*doubtful, *more.over]
     finish(
         result, lines,
@@ -208,57 +185,57 @@ class Task(ABC):
         tested: random runs that test the gains of a round by default.
     """
 
-    request: SearchRequest
-    finals: Sequence[RunGoal]
-    default: Collection[RunGoal]
+    request: lib.SearchRequest
+    finals: Sequence[lib.RunGoal]
+    default: Collection[lib.RunGoal]
     limit: Mapping[str, str]
     tested: int
 
     @abstractmethod
     def assessed(
-        self, gains: Mapping[str, float], parts: Collection[str] | None, computed: Mapping[str, Part] | None
-    ) -> Assessment:
+        self, gains: Mapping[str, float], parts: Collection[str] | None, computed: Mapping[str, lib.Part] | None
+    ) -> lib.Assessment:
         """Return what is assessed with these gains."""
 
     @abstractmethod
-    def gain_file(self, tuning: Tuning, out: Path, warning: str) -> tuple[Path, str]:
+    def gain_file(self, tuning: lib.Tuning, out: Path, warning: str) -> tuple[Path, str]:
         """Return file and text of the tuned gains."""
 
     @abstractmethod
-    def more(self, tuning: Tuning, checked: Finals, gains: str, trials: int) -> More:
+    def more(self, tuning: lib.Tuning, checked: lib.Finals, gains: str, trials: int) -> More:
         """Return what is printed besides goals and assessment; `gains` is the written file."""
 
-    def pictures(self, tuning: Tuning, out: Path) -> list[Path]:
+    def pictures(self, tuning: lib.Tuning, out: Path) -> list[Path]:
         """Write pictures of the tuning."""
         return []
 
-    def look(self, missed: Sequence[Miss], gains: str) -> list[str]:
+    def look(self, missed: Sequence[lib.Miss], gains: str) -> list[str]:
         """Return the command that shows a missed goal."""
         return []
 
 
 @dataclass(frozen=True, eq=False)
 class _System(Task):
-    request: SystemRequest
+    request: lib.SystemRequest
     own: OwnSystem
 
     def assessed(
-        self, gains: Mapping[str, float], parts: Collection[str] | None, computed: Mapping[str, Part] | None
-    ) -> Assessment:
+        self, gains: Mapping[str, float], parts: Collection[str] | None, computed: Mapping[str, lib.Part] | None
+    ) -> lib.Assessment:
         return self.request.assessed(gains, parts, computed)
 
-    def gain_file(self, tuning: Tuning, out: Path, warning: str) -> tuple[Path, str]:
+    def gain_file(self, tuning: lib.Tuning, out: Path, warning: str) -> tuple[Path, str]:
         return out / "gains.csv", self.request.so_far(tuning.result.gains, "")[1]
 
-    def more(self, tuning: Tuning, checked: Finals, gains: str, trials: int) -> More:
+    def more(self, tuning: lib.Tuning, checked: lib.Finals, gains: str, trials: int) -> More:
         own, duration = self.own, self.request.seconds
         costs = {
-            when: cost_data(own.system, self.request.costs(values))
+            when: own.cost_data(self.request.costs(values))
             for when, values in (("before", self.request.begun), ("after", tuning.result.gains))
         }
         numbers = ["--gains", gains]
         seconds = f"{duration or 100 * own.system.dt:g}"
-        then = [command_line("verify", own, *numbers), command_line("export", own, *numbers, "--seconds", seconds)]
+        then = [own.command("verify", *numbers), own.command("export", *numbers, "--seconds", seconds)]
         data = {**own.names, "seconds": duration, "costs": costs}
         return More(data, then, notes=self.request.scores(tuning.result.gains))
 
@@ -273,27 +250,23 @@ def _tuned(
     """
     import numpy as np
 
-    from surctl.system.values import check_scalar
-    from surctl.tuning.goals import load_system_goals
-    from surctl.tuning.systems import margin_goals, system_request
-
     own, goals_file = load_system(words), options.goals_file
-    about, points, of_runs = ((), {}, ()) if goals_file is None else load_system_goals(goals_file, own.system)
+    about, points, of_runs = ((), {}, ()) if goals_file is None else lib.load_system_goals(goals_file, own.system)
     duration = own.seconds(seconds) if own.system.costs or seconds is not None else 0.0
-    listed, space = listed_values(own.settings), gain_ranges_of(own, ranges)
+    listed, space = listed_values(own.settings), own.gain_ranges(ranges)
     for name in listed:
         if len(listed[name]) > 1:
-            check_scalar(own.system, name)
+            lib.check_scalar(own.system, name)
     cases = {name: np.array(v[0] if len(v) == 1 else v) for name, v in listed.items()}
     try:
-        request = system_request(
+        request = lib.system_request(
             own.system, duration, space,
             cases=cases, trials=options.trials, seed=options.seed, threads=options.workers, goals=about, points=points,
             run_goals=of_runs,
         )  # fmt: skip
     except InputError as error:
         raise (error.inside(goals_file) if (error.key or "").startswith(("goals.", "point ")) else error) from None
-    finals, costs = margin_goals(own.system), own.system.costs
+    finals, costs = lib.margin_goals(own.system), own.system.costs
     late = next((name for name, cost in costs.items() if cost.how == "last_time"), next(iter(costs), None))
     remedy = f'ask it of the run, such as metric = "{late}"' if late else "give the system a cost of its runs"
     return _System(request, finals, finals, {"command": "command {}", "run": "the run", "remedy": remedy}, 0, own)
@@ -304,14 +277,11 @@ _PERIODS = 600  # of a run, without --seconds
 
 def _bench(
     words: Sequence[str], ranges: Mapping[str, tuple[float, float] | None], options: TuneOptions, seconds: float | None
-) -> DesignBench:
+) -> lib.DesignBench:
     """Return what the page of a system of the user's own shows; NAME=V1,V2 gives the operating points."""
-    from surctl.report.design_bench import SystemBench
-    from surctl.tuning import judge_loops, load_loop_goals
-
     own = load_system(words)
     others, region, uncertain = region_words(own.settings, own.system)
-    about_loop, stated = ((), {}) if options.goals_file is None else load_loop_goals(options.goals_file)
+    about_loop, stated = ((), {}) if options.goals_file is None else lib.load_loop_goals(options.goals_file)
     values = listed_values(others)
     swept = {name: numbers for name, numbers in values.items() if len(numbers) > 1}
     fixed = {name: numbers[0] for name, numbers in values.items() if len(numbers) == 1}
@@ -331,21 +301,19 @@ def _bench(
     def problem(gains: Mapping[str, float]) -> object:
         return None if region is None else region.problem(own.system, {**assigned(()), **fixed, **gains})
 
-    bench = SystemBench(
-        own.system, own.word, duration, gain_ranges_of(own, ranges), places, about_loop,
+    bench = lib.SystemBench(
+        own.system, own.word, duration, own.gain_ranges(ranges), places, about_loop,
         None if region is None else problem, own.origin, {**own.system.ranges, **uncertain},
     )  # fmt: skip
     start = {one.name: one.value for one in bench.sliders}
     loops = {point: bench.loop(start, point) for point in bench.points}
-    judge_loops(about_loop, loops)  # reports unknown signals here
+    lib.judge_loops(about_loop, loops)  # reports unknown signals here
     if region is not None:
         problem(start)
     return bench
 
 
-def _serve(bench: DesignBench, *, port: int | None, browser: bool) -> None:
-    from surctl.report.serve import serve
-
+def _serve(bench: lib.DesignBench, *, port: int | None, browser: bool) -> None:
     def ready(address: str) -> None:
         waiting()
         click.echo(f"{address}  (Ctrl-C stops the page)")
@@ -354,7 +322,7 @@ def _serve(bench: DesignBench, *, port: int | None, browser: bool) -> None:
             click.launch(address)
 
     try:
-        serve(bench, port=port, ready=ready)
+        lib.serve(bench, port=port, ready=ready)
     except KeyboardInterrupt:
         click.echo("surctl: stopped; saved files stay", err=True)
         sys.stdout.flush()

@@ -8,10 +8,11 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import click
 
+from surctl.cli import lib
 from surctl.cli.application import to_application
 from surctl.cli.options import FOLDER, Count, FiniteRange
 from surctl.cli.output import (
@@ -25,21 +26,8 @@ from surctl.cli.output import (
     stoppable,
     timed,
 )
-from surctl.cli.subject import (
-    assigned,
-    command_line,
-    is_system,
-    load_system,
-    loop_data,
-    loop_lines,
-    refuse_others,
-    region_words,
-)
+from surctl.cli.subject import assigned, is_system, load_system, refuse_others, region_words
 from surctl.errors import InputError, NotApplicable, check_once
-
-if TYPE_CHECKING:
-    from surctl.lyapunov import Problem, Solution
-    from surctl.verification import Inapplicable
 
 _LONG = 60.0  # s
 
@@ -90,7 +78,7 @@ class Claimed(NamedTuple):
     limit: float | None = None
 
 
-def refused(one: Inapplicable, *, counts: bool = True) -> Decided:
+def refused(one: lib.Inapplicable, *, counts: bool = True) -> Decided:
     """Return what is said of a claim that does not apply; it fails the command if it `counts`."""
     return Decided(one.to_dict(), [refusal_line(one)], failure=f"{one.claim} is not applicable" if counts else "")
 
@@ -113,12 +101,10 @@ def decide_claims(
 
 def written(name: str, document: Mapping[str, Any], out: Path) -> list[Path]:
     """Write a certificate to `out` as NAME.json; return the file, or none if it cannot be written."""
-    from surctl.files import write_file
-
     files = list[Path]()
     with saving(f"certificate of {name}"):
         text = json.dumps(document, ensure_ascii=False, separators=(",", ":"))
-        files.append(write_file(out / f"{name}.json", text + "\n"))
+        files.append(lib.write_file(out / f"{name}.json", text + "\n"))
     return files
 
 
@@ -145,9 +131,7 @@ def are_problems(words: Sequence[str]) -> bool:
     files = [word for word in words if word.endswith(".toml") and Path(word).is_file()]
     if not files:
         return False
-    from surctl.lyapunov import is_problem
-
-    about = [word for word in files if is_problem(Path(word))]
+    about = [word for word in files if lib.is_problem(Path(word))]
     if not about:
         return False
     other = next((word for word in words if word not in about), None)
@@ -162,17 +146,15 @@ def are_problems(words: Sequence[str]) -> bool:
 
 def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Path | None, as_json: bool) -> None:
     """Prove or refute claims about dynamics; exit with status 1 if a verdict is not the expected one."""
-    from surctl.lyapunov import load_problem, solve
-
-    problems = {word: load_problem(Path(word)) for word in words}
+    problems = {word: lib.load_problem(Path(word)) for word in words}
     names = (problem.dynamics.name for problem in problems.values())
     check_once(names, "is given twice", key="claim", remedy="rename or drop one of them")
     if out is not None:
         prepare_out(out)
 
-    def decided(word: str, problem: Problem) -> Decided:
+    def decided(word: str, problem: lib.Problem) -> Decided:
         try:
-            solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
+            solution = lib.solve(problem, time_limit=time_limit, seed=seed, progress=progress)
         except InputError as error:
             raise (error if error.file else error.inside(Path(word))) from None
         return solved(solution, out, expected=problem.expected)
@@ -187,22 +169,19 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     )  # fmt: skip
 
 
-def solved(solution: Solution, out: Path | None, *, expected: str | None = None) -> Decided:
+def solved(solution: lib.Solution, out: Path | None, *, expected: str | None = None) -> Decided:
     """Return the verdict on dynamics, and write the certificate, if there is one, and the picture of a region."""
-    from surctl.lyapunov import Safety
-
     data = solution.to_dict() | ({} if expected is None else {"expected": expected})
     files = list[Path]()
     if out is not None and solution.decision is not None and solution.document:
         claim = solution.decision.claim
         files = written(claim.dynamics.name, solution.document, out)
-        if not isinstance(claim, Safety):
+        if not isinstance(claim, lib.Safety):
             with saving("plot"):
-                from surctl.report.motion_plots import plot_motion
-                from surctl.report.theme import save_figure
-
-                figure = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
-                files.append(save_figure(figure, out, (claim.dynamics.name,)))
+                figure = lib.plot_motion(
+                    solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified
+                )
+                files.append(lib.save_figure(figure, out, (claim.dynamics.name,)))
     if out is not None:
         data["files"] = [str(file) for file in files]
     bad = expected is not None and solution.verdict != expected
@@ -215,9 +194,6 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
 
     The exit status is 1 if a margin is too small at a corner of the ranges, or if no region is proved.
     """
-    from surctl.assessment import ClosedLoop, assess
-    from surctl.lyapunov import Solution, solve
-
     own = load_system(words)
     others, region, uncertain = region_words(own.settings, own.system)
     values = assigned(others)
@@ -230,26 +206,26 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
         prepare_out(out)
     claim = None if region is None else region.problem(own.system, values)
 
-    def proved() -> Solution:
+    def proved() -> lib.Solution:
         if isinstance(claim, NotApplicable):
             raise claim
         assert claim is not None  # the subject asks only then
         with timed("region of attraction", time_limit):
-            return solve(claim, time_limit=time_limit, seed=seed, progress=progress)
+            return lib.solve(claim, time_limit=time_limit, seed=seed, progress=progress)
 
-    subject = ClosedLoop(own.system, values, uncertain, region=None if claim is None else proved)
-    ready = assess(subject, parts=["loop"])
+    subject = lib.ClosedLoop(own.system, values, uncertain, region=None if claim is None else proved)
+    ready = lib.assess(subject, parts=["loop"])
     loop = ready.sources["loop"]
     if isinstance(loop, InputError):
         raise loop
     shown = [f"{line.mark} {line.text}" for line in ready.lines if line.counts]
     with stoppable("the region of attraction is not decided", shown, as_json=as_json):
-        assessment = assess(subject, computed=ready.parts)
-    lines, data = loop_lines(own, loop), loop_data(own, loop)
+        assessment = lib.assess(subject, computed=ready.parts)
+    lines, data = own.loop_lines(loop), own.loop_data(loop)
     data |= {"values": {name: value.ravel().tolist() for name, value in values.items()}}
     files: Sequence[Path] = ()
     solution = assessment.sources.get("region")
-    if isinstance(solution, Solution):
+    if isinstance(solution, lib.Solution):
         about = f" of {solution.about}" if solution.decision is not None else ""
         decided = solved(solution, out)
         lines += [f"region of attraction{about}:", *decided.lines]
@@ -262,7 +238,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     settings = [word for word in others if not word.startswith("start.")]
     # without a duration of the system, a run of 100 periods
     time = () if own.system.duration else ("--seconds", f"{100 * own.system.dt:g}")
-    then = [command_line("export", own, *settings, *time, "--out", "firmware")]
+    then = [own.command("export", *settings, *time, "--out", "firmware")]
     then += [shlex.join(["surctl", "check", str(file), "--bundle", "firmware"]) for file in files[:1]]
     finish(
         {**own.names, **data, "assessment": assessment.to_dict()}, lines, as_json=as_json, passed=passed,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 from matplotlib.axes import Axes
@@ -36,11 +35,23 @@ from surctl.verification import Inapplicable, LoopMargins
 from surctl.verification.linear import DiskMargin
 
 
-@dataclass(frozen=True, kw_only=True)
-class StudyPage:
-    """The page of a study, of a system or of a robot.
+def study_page(
+    *,
+    title: str,
+    about: str,
+    command: str,
+    version: str,
+    assessment: Assessment,
+    decided: Sequence[str] = (),
+    evidence: Sequence[Section],
+    sweep: Section | None,
+    export: Section | None,
+    seconds: Mapping[str, float],
+    numbers: Sequence[Section],
+) -> str:
+    """Return the page of a study, of a system or of a robot, as one HTML text without links to the network.
 
-    Attributes:
+    Args:
         title: heading of the page.
         about: the sentence below the heading.
         command: the command line of the study.
@@ -53,33 +64,18 @@ class StudyPage:
         seconds: computing time [s] of each part of the study.
         numbers: the sections with parameters, gains and their units.
     """
-
-    title: str
-    about: str
-    command: str
-    version: str
-    assessment: Assessment
-    decided: Sequence[str] = ()
-    evidence: Sequence[Section]
-    sweep: Section | None
-    export: Section | None
-    seconds: Mapping[str, float]
-    numbers: Sequence[Section]
-
-    def render(self) -> str:
-        """Return the page as one HTML text without links to the network; all text is escaped."""
-        details = (self.sweep, self.export, _time_section(self.seconds))
-        sections = [*self.evidence, *filter(None, details), *self.numbers]
-        return render_sections(
-            title=self.title,
-            subject=self.about,
-            version=self.version,
-            command=self.command,
-            passed=self.assessment.passed,
-            banner=self.assessment.verdict(*self.decided),
-            lines=self.assessment.lines,
-            sections=[section for section in sections if section.blocks],
-        )
+    details = (sweep, export, _time_section(seconds))
+    sections = [*evidence, *filter(None, details), *numbers]
+    return render_sections(
+        title=title,
+        subject=about,
+        version=version,
+        command=command,
+        passed=assessment.passed,
+        banner=assessment.verdict(*decided),
+        lines=assessment.lines,
+        sections=[section for section in sections if section.blocks],
+    )
 
 
 def _time_section(seconds: Mapping[str, float]) -> Section:

@@ -5,29 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from surctl.cli.output import progress, timed
 from surctl.cli.verify import Claimed, Decided, refused, written
 from surctl.errors import InputError, NotApplicable, check_once
-
-if TYPE_CHECKING:
-    from surctl.marine.assessment import Mission
-    from surctl.marine.simulation import Scenario
-    from surctl.marine.vehicle import Vehicle
-    from surctl.marine.verification.region import RegionStatement
-    from surctl.verification import Claim, Inapplicable, Verdict
-    from surctl.verification.formula import Statement
+from surctl.marine.cli import lib
 
 Claims = list[Claimed | Decided]
 
 
-def statement_lines(exact: Statement, certificate: Mapping[str, Any] | None) -> list[str]:
+def statement_lines(exact: lib.Statement, certificate: Mapping[str, Any] | None) -> list[str]:
     """Return the statement as the checker reads it: from the certificate, if there is one."""
-    from surctl.verification.formula import text_of
-    from surctl.verification.formula.parser import clipped
-
-    left, right, *constraints = map(text_of, exact.parts)
+    left, right, *constraints = map(lib.text_of, exact.parts)
     ends = [*zip(exact.names, exact.lower.tolist(), exact.upper.tolist(), strict=True)]
     if certificate is not None:
         claim = certificate["claim"]
@@ -36,14 +26,14 @@ def statement_lines(exact: Statement, certificate: Mapping[str, Any] | None) -> 
     slack = certificate["claim"]["slack"] if certificate is not None else 0.0
     bound = f"{right} + {slack!r}" if slack else right
     where = [f"{name} in [{low!r}, {high!r}]" for name, low, high in ends] + [f"{g} <= 0" for g in constraints]
-    return [f"  {clipped(left)} <= {clipped(bound)}", f"  where {clipped(', '.join(where))}"]
+    return [f"  {lib.clipped(left)} <= {lib.clipped(bound)}", f"  where {lib.clipped(', '.join(where))}"]
 
 
 def _number(value: float, digits: str) -> str:
     return repr(value) if digits == "r" else f"{value:{digits}}"
 
 
-def claim_line(verdict: Verdict) -> str:
+def claim_line(verdict: lib.Verdict) -> str:
     """Return one line for a verdict, with its counterexample, its slack or the reason why it is unknown."""
     counterexample, proof = verdict.counterexample, verdict.certificate
     where = ""
@@ -64,10 +54,10 @@ def claim_line(verdict: Verdict) -> str:
 def library_claims(
     words: Sequence[str],
     gains: Mapping[str, Any],
-    vehicle: Vehicle,
+    vehicle: lib.Vehicle,
     *,
     law: str | None = None,
-) -> tuple[list[Claim], list[Inapplicable]]:
+) -> tuple[list[lib.Claim], list[lib.Inapplicable]]:
     """Return the claims by name or file, or those of the library without any, and those that do not apply.
 
     The claims of the library do not concern the law `law`, if it is given.
@@ -75,15 +65,12 @@ def library_claims(
     Raises:
         InputError: a claim is unknown, has a mistake or is given twice.
     """
-    from surctl.marine.tuning.derived import has_tuned
-    from surctl.marine.verification.library import applicable_claims
-    from surctl.verification import Inapplicable, load_claim
-
     if not words:  # where the paper errs concerns its own robot
-        every, reasons = ((), {}) if law else applicable_claims(gains, vehicle=vehicle, errata=has_tuned(vehicle))
-        return list(every), [Inapplicable.of(name, reason) for name, reason in reasons.items()]
-    own = {word: load_claim(Path(word)) for word in words if word.endswith(".toml")}
-    rest, reasons = applicable_claims(gains, [w for w in dict.fromkeys(words) if w not in own], vehicle=vehicle)
+        errata = lib.has_tuned(vehicle)
+        every, reasons = ((), {}) if law else lib.applicable_claims(gains, vehicle=vehicle, errata=errata)
+        return list(every), [lib.Inapplicable.of(name, reason) for name, reason in reasons.items()]
+    own = {word: lib.load_claim(Path(word)) for word in words if word.endswith(".toml")}
+    rest, reasons = lib.applicable_claims(gains, [w for w in dict.fromkeys(words) if w not in own], vehicle=vehicle)
     if law is not None:
         why = "it follows no path by equations (8)-(12)"
         reasons = {claim.name: NotApplicable(why, to=f"law {law}", key=claim.name) for claim in rest} | dict(reasons)
@@ -91,14 +78,12 @@ def library_claims(
     known = {claim.name: claim for claim in rest}
     chosen = [own[w] if w in own else known[w] for w in words if w not in reasons]
     check_once((c.name for c in chosen), "is given twice", key="claim", remedy="rename or drop one of them")
-    return chosen, [Inapplicable.of(name, reason) for name, reason in reasons.items()]
+    return chosen, [lib.Inapplicable.of(name, reason) for name, reason in reasons.items()]
 
 
-def decide_claim(claim: Claim, *, seed: int, time_limit: float, out: Path | None) -> Decided:
+def decide_claim(claim: lib.Claim, *, seed: int, time_limit: float, out: Path | None) -> Decided:
     """Decide a claim of the library or of a file, and write its certificate."""
-    from surctl.verification import decide
-
-    verdict = decide(claim, seed=seed, time_limit=time_limit, progress=progress)
+    verdict = lib.decide(claim, seed=seed, time_limit=time_limit, progress=progress)
     data, certificate, files = verdict.to_dict(), verdict.certificate, list[Path]()
     if certificate is not None:
         files = [] if out is None else written(claim.name, certificate, out)
@@ -125,21 +110,17 @@ def is_region(word: str) -> bool:
         InputError: the file cannot be read.
     """
     if word.endswith(".toml"):
-        from surctl.files import read_toml
-
-        return bool(read_toml(Path(word)).get("kind") == "region")
+        return bool(lib.read_toml(Path(word)).get("kind") == "region")
     return word.startswith("region-")
 
 
-def region_of(word: str) -> RegionStatement:
+def region_of(word: str) -> lib.RegionStatement:
     """Return the region claim with the given name or file.
 
     Raises:
         InputError: the claim is unknown, or the file is not a region claim.
     """
-    from surctl.marine.verification.region import load_region, region_statement
-
-    return load_region(Path(word)) if word.endswith(".toml") else region_statement(word)
+    return lib.load_region(Path(word)) if word.endswith(".toml") else lib.region_statement(word)
 
 
 def require_own_speeds(words: Sequence[str], cruise: float | None, cap: float | None) -> None:
@@ -162,7 +143,7 @@ def require_own_speeds(words: Sequence[str], cruise: float | None, cap: float | 
 
 
 def region_claims(
-    words: Sequence[str], mission: Mission, *, seed: int = 0, out: Path | None = None
+    words: Sequence[str], mission: lib.Mission, *, seed: int = 0, out: Path | None = None
 ) -> tuple[Claims, str]:
     """Return region claims to decide, and the name of one that applies to the vehicle if a stated one does not, or "".
 
@@ -175,9 +156,6 @@ def region_claims(
     Raises:
         InputError: a claim is unknown or has a mistake.
     """
-    from surctl.marine.verification.region import RegionStatement, applicable_region, prove_statement
-    from surctl.verification import Inapplicable
-
     vehicle, gains, law = mission.vehicle, mission.gains, mission.law_ref
     about: dict[str, Any] = {"cruise": mission.cruise, "cap": mission.cap}
     forms = {"barrier": mission.barrier, "movers": mission.movers}
@@ -189,15 +167,15 @@ def region_claims(
             one.claim(vehicle, gains, **about)
             one.require(law)
         except NotApplicable as reason:
-            others.append(refused(Inapplicable.of(one.name, reason)))
+            others.append(refused(lib.Inapplicable.of(one.name, reason)))
         except InputError as error:
             raise (error.inside(word) if word.endswith(".toml") and not error.file else error) from None
         else:
-            prove = partial(prove_statement, one, vehicle, gains, seed=seed, forms=forms, **about)
+            prove = partial(lib.prove_statement, one, vehicle, gains, seed=seed, forms=forms, **about)
             claims.append(Claimed(one.name, partial(_proved, prove, out)))
     usual = [name for name in ("region-turning-20", "region-steered-20") if name not in names]
-    instead = applicable_region(usual, vehicle, gains, law=law, **about) if others and usual else None
-    return [*claims, *others], instead.name if isinstance(instead, RegionStatement) else ""
+    instead = lib.applicable_region(usual, vehicle, gains, law=law, **about) if others and usual else None
+    return [*claims, *others], instead.name if isinstance(instead, lib.RegionStatement) else ""
 
 
 def is_mission(word: str) -> bool:
@@ -206,7 +184,7 @@ def is_mission(word: str) -> bool:
 
 
 def mission_claims(
-    words: Sequence[str], scenario: Scenario | None, mission: Mission, *, seed: int = 0, out: Path | None = None
+    words: Sequence[str], scenario: lib.Scenario | None, mission: lib.Mission, *, seed: int = 0, out: Path | None = None
 ) -> Claims:
     """Return the claim about the mission of a scenario, with the region claim that a word names for each leg.
 
@@ -217,10 +195,6 @@ def mission_claims(
     """
     if not words:
         return []
-    from surctl.marine.verification.mission import USUAL, prove_scenario, slower
-    from surctl.marine.verification.region import region_statement
-    from surctl.verification import Inapplicable
-
     if scenario is None:
         remedy = "add --scenario NAME or FILE"
         raise InputError("is about the path of a scenario", key="claim", value=words[0], remedy=remedy)
@@ -229,21 +203,21 @@ def mission_claims(
     [word] = words
     speeds: dict[str, Any] = {"cruise": mission.cruise, "cap": mission.cap}
     region = word.partition(":")[2]
-    statement = region_of(region) if region else region_statement(USUAL)
+    statement = region_of(region) if region else lib.region_statement(lib.USUAL)
     about = (scenario, mission.vehicle, mission.gains, statement)
 
     def decided() -> Decided:
         try:
             statement.require(mission.law_ref)
-            done = _proved(partial(prove_scenario, *about, **speeds, seed=seed), out)
+            done = _proved(partial(lib.prove_scenario, *about, **speeds, seed=seed), out)
             sentence, final = done.proof.sentence, not done.failure
         except NotApplicable as reason:
-            one = Inapplicable.of(f"mission-{scenario.name}", reason)
+            one = lib.Inapplicable.of(f"mission-{scenario.name}", reason)
             done, sentence, final = refused(one), one.sentence, one.to != "these speeds"
         if final:
             return done
         with timed(f"{word} at lower speeds"):
-            lower = slower(*about, **speeds, seed=seed)
+            lower = lib.slower(*about, **speeds, seed=seed)
         line = f"{sentence}; no lower speed is proved"
         if lower is not None:
             line = f"with --cruise {lower.claim.loop.cruise:g}, {lower.sentence}; at {mission.cruise:g} m/s, {sentence}"
@@ -261,7 +235,7 @@ def is_braking(name: str) -> bool:
     return name.startswith(_KINDS)
 
 
-def braking_claims(names: Sequence[str], mission: Mission, *, out: Path | None = None) -> Claims:
+def braking_claims(names: Sequence[str], mission: lib.Mission, *, out: Path | None = None) -> Claims:
     """Return the named braking claims for the vehicle, gains, law and speed limit of a mission.
 
     The claims do not apply to a law without the barrier of law `guarded`.
@@ -271,19 +245,14 @@ def braking_claims(names: Sequence[str], mission: Mission, *, out: Path | None =
     """
     if not names:
         return []
-    from surctl.marine.control import BARRIER, law_source
-    from surctl.marine.verification.braking import braking_claim_named, prove_braking
-    from surctl.own_code import label
-    from surctl.verification import Inapplicable
-
     claims, others = list[Claimed](), list[Decided]()
     for name in names:
         try:
-            claim = braking_claim_named(name, mission.vehicle, mission.gains, cap=mission.cap)
-            if BARRIER not in law_source(mission.law_ref).parts:
-                raise NotApplicable("it has not the barrier of law guarded", to=f"law {label(mission.law_ref)}")
+            claim = lib.braking_claim_named(name, mission.vehicle, mission.gains, cap=mission.cap)
+            if lib.BARRIER not in lib.law_source(mission.law_ref).parts:
+                raise NotApplicable("it has not the barrier of law guarded", to=f"law {lib.label(mission.law_ref)}")
         except NotApplicable as reason:
-            others.append(refused(Inapplicable.of(name, reason)))
+            others.append(refused(lib.Inapplicable.of(name, reason)))
         else:
-            claims.append(Claimed(claim.name, partial(_proved, partial(prove_braking, claim), out)))
+            claims.append(Claimed(claim.name, partial(_proved, partial(lib.prove_braking, claim), out)))
     return [*claims, *others]

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import shlex
 import shutil
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from surctl.cli.export import TARGETS, ExportOptions
-from surctl.cli.options import FILE, Count, collected, only, option, options
+from surctl.cli.options import FILE, Count, collected, option, options, typed
 from surctl.cli.output import finish, progress
 from surctl.errors import InputError
+from surctl.marine.cli import lib
 from surctl.marine.cli.robot_options import (
     MISSION,
     RobotOptions,
@@ -27,19 +27,15 @@ from surctl.marine.cli.robot_options import (
 )
 from surctl.marine.cli.sensor_options import SensorOptions, sensor_data, split_faults
 
-if TYPE_CHECKING:
-    from surctl.assessment import Assessment
-    from surctl.marine.simulation import Run
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Robot(RobotOptions):
     sensing: str | None = option(
         "--sensing", "Obstacles: sonar (default if the law allows it) or truth.", metavar="NAME"
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Mission:
     """The mission of an exported law, and what its bundle holds besides."""
 
@@ -57,7 +53,7 @@ class _Mission:
 
 @click.command
 @click.argument("words", nargs=-1, metavar="")
-@options(robot=_Robot, sensors=only(SensorOptions, "faults", "chances"), ship=_Mission)
+@options(robot=_Robot, sensors=SensorOptions, ship=_Mission, only={"sensors": ("faults", "chances")})
 @collected(options=ExportOptions)
 def export(
     words: tuple[str, ...],
@@ -81,65 +77,50 @@ def export(
         raise click.UsageError(f"Got unexpected extra argument ({words[0]})")
     import numpy as np
 
-    from surctl.export import Records
-    from surctl.export.bundle import check_folder
-    from surctl.export.envelope import as_records
-    from surctl.export.prove import gain_box
-    from surctl.marine.control import law_source
-    from surctl.marine.export import build_bundle, closed_form, operating_envelope
-    from surctl.marine.export.origin import load_certificates, origin_of
-    from surctl.marine.export.robot_bundle import replay_of
-    from surctl.marine.guidance import MAX_WAYPOINTS
-    from surctl.marine.simulation import law_numbers, load_scenario, simulate
-    from surctl.marine.simulation.numbers import fed_ranges
-    from surctl.marine.vehicle import load_vehicle
-    from surctl.marine.vehicle.linearise import command_range
-
     options = options.for_processor()
     if options.target == "mjcf":
         export_scene(ship.scenario, robot.vehicle, out=options.out, as_json=as_json)
     real, tools = options.checked((*TARGETS, "mjcf"))
     refused = "give the exported step the input `working`, or use surctl simulate"
     sensors = replace(sensors, faults=split_faults(sensors.faults, refused=refused)[0])
-    mission = load_scenario(ship.scenario)
+    mission = lib.load_scenario(ship.scenario)
     constant_gains, certificates, seed = ship.constant_gains, ship.certificates, ship.seed
     choice = choose_vehicle(robot.vehicle, (mission.name, mission.vehicle))
-    vehicle = load_vehicle(choice.word)
+    vehicle = lib.load_vehicle(choice.word)
     check_barrier(robot.barrier, robot.movers)
     law, why = choose_law(robot.law, [vehicle])
     sensing = choose_sensing(robot.sensing, law)
     click.get_current_context().params["sensing"] = sensing
     sensors.check(sensing=sensing)
     mission = sensors.over(mission)
-    chosen = choose_gains(robot.gains, vehicle, cruise=mission.cruise, own=law_source(law).gains)
+    chosen = choose_gains(robot.gains, vehicle, cruise=mission.cruise, own=lib.law_source(law).gains)
     tuned = chosen.gains
     built = replace(robot, sensing=sensing).case(law, mission, vehicle, tuned).build(robot.fallback)
-    numbers = law_numbers(mission, tuned, vehicle)
+    numbers = lib.law_numbers(mission, tuned, vehicle)
     if mission.path.fed and constant_gains:
-        raise InputError(
-            f"has more than {MAX_WAYPOINTS} points, or speeds or depths for its legs, which are inputs of the program",
-            file=mission.source,
-            key="path_m",
-            remedy="remove --constant-gains",
-        )
+        many = f"has more than {lib.MAX_WAYPOINTS} points, or speeds or depths for its legs"
+        problem, remedy = f"{many}, which are inputs of the program", "remove --constant-gains"
+        raise InputError(problem, file=mission.source, key="path_m", remedy=remedy)
     table = mission.path.table(visits=mission.corners == "visit") if mission.path.fed else None
-    shipped = closed_form(built, real=real, constants=numbers if constant_gains else None)
-    within = operating_envelope(built, mission, vehicle, shipped.gains, tuned=None if constant_gains else numbers)
+    shipped = lib.closed_form(built, real=real, constants=numbers if constant_gains else None)
+    within = lib.operating_envelope(built, mission, vehicle, shipped.gains, tuned=None if constant_gains else numbers)
     if options.prove and not constant_gains:
-        within = replace(within, gains=gain_box(built, numbers, {**tuned.ranges, **fed_ranges(mission)}))
+        within = replace(within, gains=lib.gain_box(built, numbers, {**tuned.ranges, **lib.fed_ranges(mission)}))
     fixed = {} if constant_gains else built.gains.unpack(numbers)
     assumed = mission.sensors.on(vehicle["radius"]) if sensing == "sonar" else None
-    origin = origin_of(built, vehicle, load_certificates(certificates), equipment=assumed)
-    check_folder(options.out)  # an invalid name or folder is reported before the simulation
-    bundle = build_bundle(shipped, fixed, name=options.name, real=real, envelope=within, origin=origin, mission=table)
-    limit = command_range(vehicle) if vehicle.actuators is None else vehicle.thrust_bound
+    origin = lib.origin_of(built, vehicle, lib.load_certificates(certificates), equipment=assumed)
+    lib.check_folder(options.out)  # an invalid name or folder is reported before the simulation
+    bundle = lib.build_bundle(
+        shipped, fixed, name=options.name, real=real, envelope=within, origin=origin, mission=table
+    )
+    limit = lib.command_range(vehicle) if vehicle.actuators is None else vehicle.thrust_bound
     bundle, proof = options.proved(shipped, bundle, limit)
     progress(f"simulating {mission.name}")
-    run = simulate(mission, vehicle, gains=tuned, law=built, sensing=sensing, seed=seed)
-    record, metrics, replay = run.record, run.metrics, replay_of(run)
+    run = lib.simulate(mission, vehicle, gains=tuned, law=built, sensing=sensing, seed=seed)
+    record, metrics, replay = run.record, run.metrics, lib.replay_of(run)
     failed = replay.about["failure"]
     p = np.zeros((len(record.law_state), 0)) if constant_gains else record.step_parameters
-    records = as_records(shipped, Records(record.law_state, record.law_input, p))
+    records = lib.as_records(shipped, lib.Records(record.law_state, record.law_input, p))
     compared = options.compared(shipped, bundle, records, fixed, tools)
     data = {
         "failure": failed,
@@ -161,39 +142,27 @@ def export(
     )  # fmt: skip
 
 
-_RUN_OPTIONS = (
-    *("vehicle", "gains", "law", "avoidance", "guidance", "priority_mode", "fallback", "sensing"),
-    *("faults", "chances", "seed"),
-)
-
-
-def _assessed(run: Run, sensing: str) -> Assessment:
+def _assessed(run: lib.Run, sensing: str) -> lib.Assessment:
     """Return what is assessed of the exported law, without the region of attraction."""
-    from surctl.assessment import assess
-    from surctl.marine.assessment import Mission
-
     law, mission = run.law, run.scenario
     speeds = (mission.cruise, mission.cap)
     kind: dict[str, Any] = {"sensing": sensing, "barrier": law.barrier, "movers": law.movers, "runs": (run,)}
-    subject = Mission(run.vehicle, run.gains, *speeds, law.ref, law.guidance, (mission,), law.dt, **kind)
-    return assess(subject, parts=["loop", "no contact", "runs"])
+    subject = lib.Mission(run.vehicle, run.gains, *speeds, law.ref, law.guidance, (mission,), law.dt, **kind)
+    return lib.assess(subject, parts=["loop", "no contact", "runs"])
 
 
 def _how_to_start(out: Path, context: click.Context) -> tuple[str, str]:
     words = [context.params["scenario"]]
     options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
-    for name in _RUN_OPTIONS:
+    named = {parameter.name for parameter in typed()}
+    for name in (*(one.name for one in fields(RobotOptions)), "faults", "chances", "seed"):
         setting = context.params[name]
-        typed = context.get_parameter_source(name) != ParameterSource.DEFAULT
-        if setting != "truth" if name == "sensing" else typed:  # surctl simulate has another default for --sensing
+        if setting != "truth" if name == "sensing" else name in named:  # simulate has another default for --sensing
             values = setting if isinstance(setting, tuple) else (setting,)
             words += [word for value in values for word in (options[name], str(value))]
     port = 5555
     run = f"make -C {shlex.quote(str(out))} controller && {shlex.quote(str(out / 'controller'))} {port}"
     return run, f"surctl simulate {shlex.join(words)} --controller tcp://127.0.0.1:{port}"
-
-
-_APPLY = ("scenario", "vehicle", "target", "out", "as_json")
 
 
 def export_scene(scenario: str, vehicle: str | None, *, out: Path, as_json: bool) -> None:
@@ -203,23 +172,15 @@ def export_scene(scenario: str, vehicle: str | None, *, out: Path, as_json: bool
         InputError: an option concerns the controller, which is not part of the model, or the hull starts inside an
             obstacle.
     """
-    from surctl.marine.engine import EngineOptions
-    from surctl.marine.engine.mjcf import write_mjcf
-    from surctl.marine.simulation import load_scenario
-    from surctl.marine.vehicle import load_vehicle
-
-    context = click.get_current_context()
-    for parameter in context.command.params:
-        typed = context.get_parameter_source(str(parameter.name)) != ParameterSource.DEFAULT
-        if typed and parameter.expose_value and parameter.name not in _APPLY:
-            remedy = "drop it: the model holds the scenario and the vehicle, without a controller"
-            raise InputError("does not apply to --target mjcf", key=parameter.opts[0], remedy=remedy)
-    mission = load_scenario(scenario)
+    for parameter in typed("scenario", "vehicle", "target", "out"):
+        remedy = "drop it: the model holds the scenario and the vehicle, without a controller"
+        raise InputError("does not apply to --target mjcf", key=parameter.opts[0], remedy=remedy)
+    mission = lib.load_scenario(scenario)
     choice = choose_vehicle(vehicle, (mission.name, mission.vehicle))
-    robot = load_vehicle(choice.word)
-    files = write_mjcf(mission, robot, out)
+    robot = lib.load_vehicle(choice.word)
+    files = lib.write_mjcf(mission, robot, out)
     hashes = {file.name: sha256(file.read_bytes()).hexdigest() for file in files}
-    dof = EngineOptions().of(robot).dof
+    dof = lib.EngineOptions().of(robot).dof
     lines = [choice.line(robot.name), f"{mission.name}, {dof} degrees of freedom"]
     lines += [f"{hashes[file.name][:12]}  {file}" for file in files]
     result = {"files": [str(file) for file in files], "sha256": hashes, "dof": dof, "vehicle_from": choice.origin}

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from surctl.cli.options import FOLDER, Count, FiniteRange, only, option, options
+from surctl.cli.options import FOLDER, Count, FiniteRange, changed, option, options
 from surctl.cli.output import Stopped, as_json, finish, progress, waiting
 from surctl.errors import InputError, SurctlError, check_known
-from surctl.marine.cli.robot_options import RobotOptions, choose_gains, choose_law
-
-if TYPE_CHECKING:
-    from surctl.marine.bridge import Act, Bridge, LinkQuality, RehearsalResult
-    from surctl.marine.bridge.live import Address
-    from surctl.marine.simulation import Scenario
+from surctl.marine.cli import lib
+from surctl.marine.cli.robot_options import RobotOptions, choose_gains, choose_law, choose_vehicle
 
 _SYSTEM = click.IntRange(1, 255)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Link:
     """How surctl meets the autopilot, or the simulated one of a rehearsal."""
 
@@ -84,7 +82,7 @@ class _Link:
 
 @click.command
 @click.argument("scenario")
-@options(robot=only(RobotOptions, "vehicle", "gains", "law", "sensing"), link=_Link)
+@options(robot=RobotOptions, link=_Link, only={"robot": ("vehicle", "gains", "law", "sensing")})
 @click.option("--out", type=FOLDER, help="Folder for the record (default surctl-out/fly; in a rehearsal, none).")
 @as_json
 def fly(scenario: str, robot: RobotOptions, link: _Link, out: Path | None, as_json: bool) -> None:
@@ -97,40 +95,26 @@ def fly(scenario: str, robot: RobotOptions, link: _Link, out: Path | None, as_js
 
     Examples: surctl fly tank-speed-015 --dry-run; surctl fly tank-speed-015 --mavlink udp:0.0.0.0:14550
     """
-    from math import radians
-
-    from surctl.files import prepare_folder
-    from surctl.marine.bridge import Bridge, LinkQuality, Wire
-    from surctl.marine.bridge.bridge import plan_session
-    from surctl.marine.bridge.inputs import parse_site
-    from surctl.marine.bridge.live import parse_address
-    from surctl.marine.bridge.wire import mode_of
-    from surctl.marine.cli.robot_options import choose_vehicle
-    from surctl.marine.control import law_source
-    from surctl.marine.simulation import SENSING, load_scenario
-    from surctl.marine.vehicle import load_vehicle
-
     if (link.mavlink is None) == (not link.dry_run):
         raise InputError("needs one of --mavlink and --dry-run", key="surctl fly", remedy="begin with --dry-run")
-    rehearsed = (("--loss", link.loss), ("--delay", link.delay), ("--act", link.acts))
-    alone = [key for key, value in rehearsed if value and not link.dry_run]
-    if alone:
+    alone = [name for name in changed(link) if name in ("--loss", "--delay", "--act")]
+    if alone and not link.dry_run:
         raise InputError("is only for a rehearsal", key=alone[0], remedy="add --dry-run, and leave out --mavlink")
     if link.target == link.system:
         remedy = "give two different ids"
         raise InputError("is the system id of the bridge", key="--target", value=link.target, remedy=remedy)
-    check_known(robot.sensing, SENSING, key="--sensing")
-    address = None if link.mavlink is None else parse_address(link.mavlink)
-    mode_of(link.mode)
-    wire, script = Wire(target=link.target, system=link.system, send=link.send), [_act(text) for text in link.acts]
-    site = parse_site(link.origin)
-    mission = load_scenario(scenario)
+    check_known(robot.sensing, lib.SENSING, key="--sensing")
+    address = None if link.mavlink is None else lib.parse_address(link.mavlink)
+    lib.mode_of(link.mode)
+    wire, script = lib.Wire(target=link.target, system=link.system, send=link.send), [_act(text) for text in link.acts]
+    site = lib.parse_site(link.origin)
+    mission = lib.load_scenario(scenario)
     choice = choose_vehicle(robot.vehicle, (mission.name, mission.vehicle))
-    vehicle = load_vehicle(choice.word)
+    vehicle = lib.load_vehicle(choice.word)
     reference, lines = choose_law(robot.law, [vehicle])
-    tuned = choose_gains(robot.gains, vehicle, cruise=mission.cruise, own=law_source(reference).gains)
+    tuned = choose_gains(robot.gains, vehicle, cruise=mission.cruise, own=lib.law_source(reference).gains)
     progress("building and compiling the law")
-    plan = plan_session(
+    plan = lib.plan_session(
         mission,
         vehicle,
         gains=tuned.gains,
@@ -140,14 +124,14 @@ def fly(scenario: str, robot: RobotOptions, link: _Link, out: Path | None, as_js
         site=site,
         full_rate=radians(link.yaw_rate),
     )
-    bridge = Bridge(plan, wire)
+    bridge = lib.Bridge(plan, wire)
     lines += [choice.line(vehicle.name), *tuned.lines]
     lines.append(f"controller {plan.controller.bundle.id[:12]}; mode {link.mode}: {plan.mapping.mode.what}")
     if out is not None or address is not None:
         out = out or Path("surctl-out", "fly")
-        prepare_folder(out)
+        lib.prepare_folder(out)
     if address is None:
-        quality = LinkQuality(loss=link.loss, delay=link.delay)
+        quality = lib.LinkQuality(loss=link.loss, delay=link.delay)
         result = _rehearsed(bridge, quality, script, out=out, seed=link.seed)
         files = [] if out is None else sorted(str(path) for path in out.glob(f"{_stem(mission, link.seed)}.*"))
         lines += [f"{at:8.2f} s  {text}" for at, text in result.texts] + [_summary(result), *files]
@@ -162,19 +146,14 @@ def fly(scenario: str, robot: RobotOptions, link: _Link, out: Path | None, as_js
     finish({"arrived": arrived, "files": files}, lines, as_json=as_json, passed=arrived)
 
 
-def _live(bridge: Bridge, address: Address, out: Path) -> tuple[bool, list[str]]:
-    import time
-
-    from surctl.marine.bridge import Ended, SessionRecord
-    from surctl.marine.bridge.live import run_session
-
+def _live(bridge: lib.Bridge, address: lib.Address, out: Path) -> tuple[bool, list[str]]:
     waiting()
-    with SessionRecord(out, f"session-{time.strftime('%Y%m%d-%H%M%S')}", bridge) as record:
+    with lib.SessionRecord(out, f"session-{time.strftime('%Y%m%d-%H%M%S')}", bridge) as record:
         files = [str(path) for path in record.files]
         try:
-            return run_session(bridge, address, log=record, said=progress), files
-        except (KeyboardInterrupt, Ended) as end:
-            why = f" ({end})" if isinstance(end, Ended) else ""
+            return lib.run_session(bridge, address, log=record, said=progress), files
+        except (KeyboardInterrupt, lib.Ended) as end:
+            why = f" ({end})" if isinstance(end, lib.Ended) else ""
             raise Stopped(f"the session ended{why}, the last commands were neutral; record {files[1]}") from None
         except OSError as error:
             raise SurctlError(
@@ -183,13 +162,10 @@ def _live(bridge: Bridge, address: Address, out: Path) -> tuple[bool, list[str]]
 
 
 def _rehearsed(
-    bridge: Bridge, quality: LinkQuality, script: Sequence[Act], *, out: Path | None, seed: int
-) -> RehearsalResult:
-    from surctl.marine.bridge import SessionRecord, SimulatedSub
-    from surctl.marine.bridge.rehearsal import rehearse
-
+    bridge: lib.Bridge, quality: lib.LinkQuality, script: Sequence[lib.Act], *, out: Path | None, seed: int
+) -> lib.RehearsalResult:
     plan = bridge.plan
-    sub = SimulatedSub(
+    sub = lib.SimulatedSub(
         plan.scenario,
         plan.vehicle,
         site=plan.site,
@@ -201,20 +177,16 @@ def _rehearsed(
     )
     sub.mode = plan.mapping.mode.name
     if out is None:
-        return rehearse(bridge, sub, link=quality, seed=seed, acts=script)
-    with SessionRecord(out, _stem(plan.scenario, seed), bridge, epoch=0.0, new=False) as record:
-        return rehearse(bridge, sub, link=quality, seed=seed, acts=script, log=record)
+        return lib.rehearse(bridge, sub, link=quality, seed=seed, acts=script)
+    with lib.SessionRecord(out, _stem(plan.scenario, seed), bridge, epoch=0.0, new=False) as record:
+        return lib.rehearse(bridge, sub, link=quality, seed=seed, acts=script, log=record)
 
 
-def _stem(mission: Scenario, seed: int) -> str:
-    from surctl.files import file_name
-
-    return f"rehearsal-{file_name(mission.name)}-{seed}"
+def _stem(mission: lib.Scenario, seed: int) -> str:
+    return f"rehearsal-{lib.file_name(mission.name)}-{seed}"
 
 
-def _act(text: str) -> Act:
-    from surctl.marine.bridge.rehearsal import ACTIONS, Act
-
+def _act(text: str) -> lib.Act:
     at, _, action = text.partition(":")
     try:
         time = float(at)
@@ -222,11 +194,11 @@ def _act(text: str) -> Act:
         time = -1.0
     if not 0.0 <= time <= 1e5:
         raise InputError("does not begin with a time", key="--act", value=text, remedy="write 20:reboot")
-    check_known(action, ACTIONS, key="--act")
-    return Act(time, ACTIONS[ACTIONS.index(action)])
+    check_known(action, lib.ACTIONS, key="--act")
+    return lib.Act(time, lib.ACTIONS[lib.ACTIONS.index(action)])
 
 
-def _summary(result: RehearsalResult) -> str:
+def _summary(result: lib.RehearsalResult) -> str:
     time = result.time if result.arrived else result.steered
     end = "arrived after" if result.arrived else "did not arrive; steered for"
     touched = ", but touched an obstacle or wall" if result.touched else ""
@@ -238,7 +210,7 @@ def _summary(result: RehearsalResult) -> str:
     return text
 
 
-def _data(result: RehearsalResult) -> dict[str, Any]:
+def _data(result: lib.RehearsalResult) -> dict[str, Any]:
     return {
         "arrived": result.arrived,
         "time_s": result.time,

@@ -6,7 +6,6 @@ import shlex
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -14,14 +13,8 @@ from surctl.cli.new import write_new
 from surctl.cli.options import FILE, FiniteRange
 from surctl.cli.output import as_json, finish
 from surctl.errors import InputError
+from surctl.marine.cli import lib
 from surctl.marine.cli.robot_options import derive_words, margin_short
-
-if TYPE_CHECKING:
-    from surctl.marine.simulation import SafetyClaim
-    from surctl.marine.tuning import Derivation
-    from surctl.marine.vehicle import Vehicle
-    from surctl.marine.verification.speeds import OverSpeeds
-    from surctl.verification import Inapplicable
 
 _SPEED = FiniteRange(min=0, max=100, min_open=True)
 
@@ -58,14 +51,9 @@ def derive(
 
     Examples: surctl gains derive bluerov2-wu; surctl gains derive rov.toml --cruise 0.3 --out gains.toml
     """
-    from surctl.marine.control import write_gains
-    from surctl.marine.simulation import SafetyClaim
-    from surctl.marine.tuning import default_cruise, derive_gains
-    from surctl.marine.vehicle import load_vehicle
-
-    robot = load_vehicle(vehicle)
+    robot = lib.load_vehicle(vehicle)
     try:
-        derivation = derive_gains(robot, cruise=default_cruise(robot) if cruise is None else cruise)
+        derivation = lib.derive_gains(robot, cruise=lib.default_cruise(robot) if cruise is None else cruise)
     except InputError as error:
         raise error.inside(vehicle, "--cruise" if error.key == "cruise" else None) from None
     if margin is not None:
@@ -74,7 +62,7 @@ def derive(
     contact = _contact(robot, derivation)
     short = margin_short(contact)
     lines = derivation.lines()
-    if isinstance(contact, SafetyClaim) and not contact.holds:
+    if isinstance(contact, lib.SafetyClaim) and not contact.holds:
         at = f"at up to {contact['speed cap']:.3g} m/s in still water (true positions, barrier {contact.barrier})"
         lines.append(f"  no contact with obstacles {at} does not hold: {contact.shortfall}")
     if derivation.reached and (slow := _slow(robot, derivation)) is not None and slow.short:
@@ -87,7 +75,7 @@ def derive(
     elif isfinite(short):
         then.append(derive_words(vehicle, derivation.cruise, better, margin=short, force=out is not None))
     if out is not None:
-        target = write_new(out, write_gains(derivation.gains, warning=derivation.warning), force=force)
+        target = write_new(out, lib.write_gains(derivation.gains, warning=derivation.warning), force=force)
         lines.append(f"wrote {target}")
         words = ["surctl", "verify", "--vehicle", vehicle, "--gains", str(target)]
         then.append(shlex.join([*words, "--cruise", f"{derivation.cruise:g}"]))
@@ -98,25 +86,20 @@ def derive(
     )  # fmt: skip
 
 
-def _slow(vehicle: Vehicle, derivation: Derivation) -> OverSpeeds | None:
+def _slow(vehicle: lib.Vehicle, derivation: lib.Derivation) -> lib.OverSpeeds | None:
     """Return the least margins of the gains from rest to the cruise speed; None for a law that steers."""
-    from surctl.marine.control import default_law
-    from surctl.marine.verification.cruise_loop import has_cruise_loop
-    from surctl.marine.verification.speeds import slow_margins
-
-    law = default_law(vehicle)
-    if not has_cruise_loop(law, "los"):
+    law = lib.default_law(vehicle)
+    if not lib.has_cruise_loop(law, "los"):
         return None
-    return slow_margins(vehicle, derivation.gains.values, cruise=derivation.cruise, dt=derivation.dt, law=law)
+    return lib.slow_margins(vehicle, derivation.gains.values, cruise=derivation.cruise, dt=derivation.dt, law=law)
 
 
-def _contact(vehicle: Vehicle, derivation: Derivation) -> SafetyClaim | Inapplicable | None:
+def _contact(vehicle: lib.Vehicle, derivation: lib.Derivation) -> lib.SafetyClaim | lib.Inapplicable | None:
     """Return the no-contact claim of the gains on a straight path in still water; None if it is not about the law."""
-    from surctl.marine.assessment import judged_contact
-    from surctl.marine.control import BARRIER, default_law, law_source
-    from surctl.marine.simulation.scaling import mission_size, straight_mission
-
-    if BARRIER not in law_source(default_law(vehicle)).parts:
+    if lib.BARRIER not in lib.law_source(lib.default_law(vehicle)).parts:
         return None
-    speeds = {"cruise": derivation.cruise, "size": mission_size(vehicle, derivation.gains, cruise=derivation.cruise)}
-    return judged_contact(straight_mission(vehicle, **speeds), vehicle, derivation.gains, sonar=False)
+    speeds = {
+        "cruise": derivation.cruise,
+        "size": lib.mission_size(vehicle, derivation.gains, cruise=derivation.cruise),
+    }
+    return lib.judged_contact(lib.straight_mission(vehicle, **speeds), vehicle, derivation.gains, sonar=False)

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from surctl.errors import InputError
-
-if TYPE_CHECKING:
-    from surctl.assessment import Assessment
-    from surctl.marine.assessment import LoopAnalysis, Mission
-    from surctl.verification import LoopCorners
+from surctl.marine.cli import lib
 
 
 class LinearPart(NamedTuple):
@@ -25,7 +21,7 @@ class LinearPart(NamedTuple):
     data: dict[str, Any]
     stable: bool | None
     cruise: float
-    loops: LoopCorners | None = None
+    loops: lib.LoopCorners | None = None
     peak: float = math.inf
 
     @property
@@ -34,11 +30,9 @@ class LinearPart(NamedTuple):
         return self.loops is not None and not self.loops.enough
 
 
-def linear_part(assessment: Assessment, mission: Mission) -> LinearPart:
+def linear_part(assessment: lib.Assessment, mission: lib.Mission) -> LinearPart:
     """Return the linear part of an assessment: about a straight cruise, or about a steady motion."""
-    from surctl.marine.control import law_source
-
-    loop: LoopAnalysis = assessment.sources["loop"]
+    loop: lib.LoopAnalysis = assessment.sources["loop"]
     if loop.unjudged:
         key, why = "not_judged", loop.unjudged
         word = f"not judged, because {why}"
@@ -49,24 +43,20 @@ def linear_part(assessment: Assessment, mission: Mission) -> LinearPart:
         return LinearPart([f"margins: {word}"], unjudged, None, mission.cruise)
     lines, linear, peak = _loop_lines(loop, mission)
     data: dict[str, Any] = {"margins": [m.to_dict() for m in loop.margins], "linear": linear}
-    source = law_source(mission.law_ref)
+    source = lib.law_source(mission.law_ref)
     if loop.mode is None and source.scans and "sonar" in source.sensing:
         further, data["by_sonar"] = _by_sonar(mission)
         lines += further
     return LinearPart(lines, data, loop.stable, mission.cruise, loop.loops, peak)
 
 
-def _loop_lines(loop: LoopAnalysis, mission: Mission) -> tuple[list[str], dict[str, Any], float]:
-    from surctl.marine.verification.corners import corners
-    from surctl.marine.verification.linear import slowest_mode
-    from surctl.tuning.loop_responses import sensitivity_curves
-
+def _loop_lines(loop: lib.LoopAnalysis, mission: lib.Mission) -> tuple[list[str], dict[str, Any], float]:
     loops, nominal, vehicle = loop.loops, loop.nominal, mission.vehicle
     assert loops is not None  # the caller asked
     lines, data = [f"{nominal.head}, {vehicle.name}:", *loops.lines(), *nominal.notes()], loops.to_dict()
     curves = []
     for place, signals in nominal.linear.places.items() if nominal.stable else ():
-        omega, S, T = sensitivity_curves(nominal.linear, signals)
+        omega, S, T = lib.sensitivity_curves(nominal.linear, signals)
         curves.append({"place": place, "omega_rad_s": omega.tolist(), "S": S.tolist(), "T": T.tolist(),
                        "peak_S": float(S.max()), "peak_T": float(T.max())})  # fmt: skip
     if curves:
@@ -76,32 +66,28 @@ def _loop_lines(loop: LoopAnalysis, mission: Mission) -> tuple[list[str], dict[s
     if loop.mode is not None:
         lines += loop.mode.lines()
         data["mode"] = loop.mode.to_dict()
-        worst = corners(vehicle, mission.uncertainty).vehicle(loops.corner)
+        worst = lib.corners(vehicle, mission.uncertainty).vehicle(loops.corner)
         if not nominal.stable:
             claims = "the kinematic claims assume that the vehicle follows the commanded velocity"
             lines.append(f"  {claims}, but this loop is unstable")
         elif not loops.stable:
             about: dict[str, Any] = {"dt": mission.period, "model": vehicle, "law": mission.law_ref}
-            lines += slowest_mode(worst, mission.gains.values, cruise=loop.cruise, **about).remedy_lines()
+            lines += lib.slowest_mode(worst, mission.gains.values, cruise=loop.cruise, **about).remedy_lines()
     if loop.motion:
         lines.append(f"  {loop.motion}")
         data["motion"] = loop.motion
     return lines, data, max((c["peak_S"] for c in curves), default=math.inf)
 
 
-def _by_sonar(mission: Mission) -> tuple[list[str], list[dict[str, Any]]]:
-    from surctl.marine.sensing import OwnState
-    from surctl.marine.simulation import vehicle_law
-    from surctl.marine.verification import sonar_margins
-
+def _by_sonar(mission: lib.Mission) -> tuple[list[str], list[dict[str, Any]]]:
     scenario = next(iter(mission.scenarios), None)
-    own = OwnState() if scenario is None else scenario.sensors.equipment.own
+    own = lib.OwnState() if scenario is None else scenario.sensors.equipment.own
     if own is None:
         return [], []
     law, vehicle, cruise = mission.law_ref, mission.vehicle, mission.cruise
     gains = mission.gains
     try:
-        margins = sonar_margins(vehicle_law(vehicle, law, sonar=True), vehicle, gains, cruise=cruise, own=own)
+        margins = lib.sonar_margins(lib.vehicle_law(vehicle, law, sonar=True), vehicle, gains, cruise=cruise, own=own)
     except InputError as error:
         return [f"margins by sonar: not judged, because {error.key} {error.problem}"], []
     late = f"own-state filter and fixes {own.fixes.latency:g} s late"
@@ -109,7 +95,7 @@ def _by_sonar(mission: Mission) -> tuple[list[str], list[dict[str, Any]]]:
     return [head, *(each.line() for each in margins)], [each.to_dict() for each in margins]
 
 
-def speed_lines(mission: Mission, *, short: bool) -> tuple[list[str], dict[str, float]]:
+def speed_lines(mission: lib.Mission, *, short: bool) -> tuple[list[str], dict[str, float]]:
     """Return the highest speeds at which all corners are stable, and have a disk margin: lines to print, numbers.
 
     If the cruise speed is above the second speed or a margin is too small (`short`), a line says what to change:
@@ -117,25 +103,25 @@ def speed_lines(mission: Mission, *, short: bool) -> tuple[list[str], dict[str, 
 
     Speeds are in m/s. A warning is printed if the speed limit of the mission exceeds one of these speeds.
     """
-    from surctl.ir.cache import stored_numbers
-    from surctl.marine.verification.corners import corners
-    from surctl.marine.verification.linear import bearable_speed
-    from surctl.verification.linear import LEAST_DISK_MARGIN
-
     gains, law, dt, cruise, cap = mission.gains.values, mission.law_ref, mission.period, mission.cruise, mission.cap
-    tried = corners(mission.vehicle, mission.uncertainty)
+    tried = lib.corners(mission.vehicle, mission.uncertainty)
 
     def searched() -> dict[str, float]:
-        nominal = bearable_speed(tried.alone, gains, dt=dt, law=law)
-        stable = bearable_speed(tried, gains, dt=dt, law=law)
-        robust = bearable_speed(tried, gains, dt=dt, law=law, least=LEAST_DISK_MARGIN)
-        return {"nominal_stable": nominal, "stable": stable, "with_margin": robust, "disk_margin": LEAST_DISK_MARGIN}
+        nominal = lib.bearable_speed(tried.alone, gains, dt=dt, law=law)
+        stable = lib.bearable_speed(tried, gains, dt=dt, law=law)
+        robust = lib.bearable_speed(tried, gains, dt=dt, law=law, least=lib.LEAST_DISK_MARGIN)
+        return {
+            "nominal_stable": nominal,
+            "stable": stable,
+            "with_margin": robust,
+            "disk_margin": lib.LEAST_DISK_MARGIN,
+        }
 
     key = ([each.digest() for each in tried.vehicles], sorted(gains.items()), dt, law)
-    numbers: dict[str, float] = stored_numbers(("surctl",), key, searched)  # the loop reads laws, gains and plant
+    numbers: dict[str, float] = lib.stored_numbers(("surctl",), key, searched)  # the loop reads laws, gains and plant
     nominal, stable, robust = numbers["nominal_stable"], numbers["stable"], numbers["with_margin"]
     whom = "the nominal vehicle and the corners" if len(tried.vehicles) > 1 else "the nominal vehicle"
-    margin = f"disk margin at least {LEAST_DISK_MARGIN:g}"
+    margin = f"disk margin at least {lib.LEAST_DISK_MARGIN:g}"
     held = f"up to {robust:.3g} m/s" if robust > 0 else "at no speed with these gains (surctl tune searches others)"
     lines = [f"speeds of {whom}: stable with enough thrust up to {stable:.3g} m/s; {margin} {held}"]
     limits = (
@@ -153,20 +139,18 @@ def speed_lines(mission: Mission, *, short: bool) -> tuple[list[str], dict[str, 
     return lines, numbers
 
 
-def _change(mission: Mission, *, robust: float) -> str:
+def _change(mission: lib.Mission, *, robust: float) -> str:
     # what reaches the required margins, or larger ones
-    from surctl.marine.tuning import derive_gains
-    from surctl.marine.tuning.derived import REQUIRED
 
     cruise = mission.cruise
-    derived = derive_gains(mission.vehicle, cruise=cruise, dt=mission.period)
+    derived = lib.derive_gains(mission.vehicle, cruise=cruise, dt=mission.period)
     if derived.reached:
         better = (
             f"gains derived for {cruise:g} m/s have a disk margin of {derived.disk_margin:.2f} and a delay margin of "
         )
         better += f"{derived.delay_margin_s:.2f} s (surctl gains derive)"
     elif derived.bearable > 0:
-        better = f"up to {derived.bearable:.3g} m/s, gains derived for the speed have {REQUIRED}"
+        better = f"up to {derived.bearable:.3g} m/s, gains derived for the speed have {lib.REQUIRED}"
         better += " (surctl gains derive)"
     else:
         better = "gains derived for a lower speed have no more"
@@ -178,8 +162,6 @@ def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
     """Combine analyses at several cruise speeds (slowest first): a comparison, then the whole analysis of the last."""
     import numpy as np
 
-    from surctl.marine.verification.speeds import OverSpeeds
-
     *_, last = parts
     if len(parts) == 1:
         return last
@@ -190,7 +172,7 @@ def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
         lines.append(f"  {part.cruise:g} m/s: " + (f"{word}, largest S {part.peak:.2f}" if part.stable else "UNSTABLE"))
     figures = np.array([(*each, part.peak) for each, part in zip(margins, parts, strict=True)]).T
     names = ("delay_margin_s", "disk_margin", "sensitivity_peak")
-    over = OverSpeeds(tuple(part.cruise for part in parts), dict(zip(names, figures, strict=True)))
+    over = lib.OverSpeeds(tuple(part.cruise for part in parts), dict(zip(names, figures, strict=True)))
     slow, weak, steep = map(over.where, over.figures)
     lines.append(f"  worst speed: delay margin at {slow}, disk margin at {weak}, S at {steep}")
     worst = {name: over.worst(name)[1] for name in over.figures}

@@ -6,18 +6,14 @@ import math
 import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from surctl.cli.lint import Linted
 from surctl.errors import Finding, InputError, check_known
+from surctl.marine.cli import lib
 from surctl.marine.cli.robot_options import choose_vehicle, derive_words, margin_of_all
-
-if TYPE_CHECKING:
-    from surctl.marine.assessment import Mission
-    from surctl.marine.study import Plan
-    from surctl.marine.vehicle import Vehicle
 
 _NEXT = {
     "vehicle": ("tune --vehicle {} --out tuned", "study {}"),
@@ -35,20 +31,16 @@ _IN_VEHICLES = ("scenario", "study")  # kinds of files to which --vehicle applie
 
 def _file_findings(loaded: object) -> list[Finding]:
     # entries that cannot work
-    from surctl.marine.simulation.fit import thruster_findings
-    from surctl.marine.vehicle import Vehicle
-    from surctl.marine.vehicle.specs import undamped
-    from surctl.marine.verification.region import RegionStatement
 
-    if isinstance(loaded, Vehicle) and set(loaded.name) & set("/\\"):
+    if isinstance(loaded, lib.Vehicle) and set(loaded.name) & set("/\\"):
         text = f"{loaded.name!r} cannot be part of a file name: remove / and \\"
         return [Finding("error", "name", text)]
-    if isinstance(loaded, Vehicle):
-        free = undamped({key: parameter.value for key, parameter in loaded.parameters.items()})
+    if isinstance(loaded, lib.Vehicle):
+        free = lib.undamped({key: parameter.value for key, parameter in loaded.parameters.items()})
         text = "no drag, but thrust: the speed has no bound; state the drag, or fit it to a log (vehicle from-log)"
         undriven = [Finding("warning", f"drag ({axis})", text) for axis in free]
-        return [*undriven, *thruster_findings(loaded), *_assumption_findings(loaded)]
-    if isinstance(loaded, RegionStatement) and loaded.loop == "cruise":
+        return [*undriven, *lib.thruster_findings(loaded), *_assumption_findings(loaded)]
+    if isinstance(loaded, lib.RegionStatement) and loaded.loop == "cruise":
         cruise, cap = loaded.cruise_m_per_s, loaded.cap_m_per_s
         if cruise >= cap:
             text = f"the cruise speed of {cruise:g} m/s is not below the cap of {cap:g} m/s"
@@ -56,26 +48,22 @@ def _file_findings(loaded: object) -> list[Finding]:
     return []
 
 
-def _assumption_findings(vehicle: Vehicle) -> list[Finding]:
+def _assumption_findings(vehicle: lib.Vehicle) -> list[Finding]:
     """Return the defaults that decide the margins of a vehicle."""
-    from surctl.marine.assessment import assumptions
-
     advice = "; surctl verify --vehicle FILE says how much the margin depends on it"
-    assumed = assumptions(vehicle)
+    assumed = lib.assumptions(vehicle)
     return [Finding("info", one.name, one.text + advice) for one in assumed]
 
 
-def _loop_findings(mission: Mission, derive_for: str | None) -> tuple[list[Finding], list[str]]:
+def _loop_findings(mission: lib.Mission, derive_for: str | None) -> tuple[list[Finding], list[str]]:
     """Return margins that do not suffice, a cap above the largest stable speed, and the defaults that decide.
 
     The margins are those of the loop, and the gain `margin` that the no-contact claim of each scenario needs. The
     second list has the command that writes derived gains with it; `derive_for` is the vehicle's name or file if the
     gains are derived, else None.
     """
-    from surctl.assessment import assess
-
     keys = {"cap": "cap_m_per_s", "margins": "gains", "runs": "gains.margin"}
-    result = assess(mission, parts=["loop", "no contact"])
+    result = lib.assess(mission, parts=["loop", "no contact"])
     lines = [line for line in result.lines if line.passed is False or line.about == "cap"]
     gains = f"with the gains {mission.gains.name!r}"
     warnings = [Finding("warning", keys[line.about], f"{line.text}, {gains}") for line in lines]
@@ -85,15 +73,12 @@ def _loop_findings(mission: Mission, derive_for: str | None) -> tuple[list[Findi
     return [*warnings, *(Finding("info", one.name, one.text) for one in result.assumptions)], then
 
 
-def _goal_findings(plan: Plan) -> list[Finding]:
+def _goal_findings(plan: lib.Plan) -> list[Finding]:
     # goals of the file that `tune` cannot judge for its law; the built-in goals are left out there with a line
-    from surctl.marine.tuning import load_goals
-    from surctl.marine.tuning.evaluation import judged_goals
-    from surctl.own_code import label
 
-    built_in = load_goals()
-    left = [goal for goal in judged_goals(plan.goals, plan.sweep_cases)[2] if goal not in built_in]
-    why = f"is not judged, because surctl has no linear model of law {label(plan.law)}"
+    built_in = lib.load_goals()
+    left = [goal for goal in lib.judged_goals(plan.goals, plan.sweep_cases)[2] if goal not in built_in]
+    why = f"is not judged, because surctl has no linear model of law {lib.label(plan.law)}"
     why += ': write type = "margins" in place of metric'
     return [Finding("error" if goal.kind == "hard" else "warning", f"goals.{goal.name}", why) for goal in left]
 
@@ -108,21 +93,6 @@ def lint(words: Sequence[str], vehicle: str | None, **_: Any) -> Linted:
     Examples: surctl lint my-vehicle.toml my-mission.toml; surctl lint pool-static --vehicle sur540-flooded; surctl lint
     my_system.py:build
     """
-    from surctl.files import read_toml
-    from surctl.lyapunov import load_problem
-    from surctl.marine.assessment import Mission
-    from surctl.marine.control import load_gains
-    from surctl.marine.simulation import findings, load_scenario
-    from surctl.marine.study import load_plan
-    from surctl.marine.study.conduct import assessed
-    from surctl.marine.tuning import gains_for, load_goals
-    from surctl.marine.vehicle import LIBRARY as VEHICLES
-    from surctl.marine.vehicle import load_vehicle
-    from surctl.marine.verification.cruise_loop import has_cruise_loop
-    from surctl.marine.verification.region import load_region
-    from surctl.tuning import load_loop_goals
-    from surctl.verification import load_claim
-
     [file] = words
     path, kind = _path_and_kind(file)
     every = click.get_current_context().params["words"]
@@ -130,34 +100,36 @@ def lint(words: Sequence[str], vehicle: str | None, **_: Any) -> Linted:
         raise InputError("applies only to a scenario or a study", key="--vehicle", value=vehicle, remedy="drop it")
     problems, derive = [], list[str]()
     plain: dict[str, Callable[[str], object]] = {
-        "vehicle": load_vehicle,
-        "gains": load_gains,
-        "goals": lambda file: load_loop_goals(file) if "points" in read_toml(Path(file)) else load_goals(file),
-        "barrier": lambda file: load_problem(Path(file)),
-        "claim": lambda file: load_claim(Path(file)),
-        "lyapunov": lambda file: load_problem(Path(file)),
-        "region": lambda file: load_region(Path(file)),
+        "vehicle": lib.load_vehicle,
+        "gains": lib.load_gains,
+        "goals": lambda file: (
+            lib.load_loop_goals(file) if "points" in lib.read_toml(Path(file)) else lib.load_goals(file)
+        ),
+        "barrier": lambda file: lib.load_problem(Path(file)),
+        "claim": lambda file: lib.load_claim(Path(file)),
+        "lyapunov": lambda file: lib.load_problem(Path(file)),
+        "region": lambda file: lib.load_region(Path(file)),
     }
     if kind == "scenario":
-        scenario = load_scenario(path)
+        scenario = lib.load_scenario(path)
         word = choose_vehicle(vehicle, (scenario.name, scenario.vehicle)).word
-        robot = load_vehicle(word)
-        gains, derivation = gains_for(None, robot, cruise=scenario.cruise)
-        problems = findings(scenario, robot)
+        robot = lib.load_vehicle(word)
+        gains, derivation = lib.gains_for(None, robot, cruise=scenario.cruise)
+        problems = lib.findings(scenario, robot)
         wrong = any(one.level == "error" for one in problems)  # no claim is about it then
-        mission = Mission(robot, gains, scenario.cruise, scenario.cap, scenarios=() if wrong else (scenario,))
+        mission = lib.Mission(robot, gains, scenario.cruise, scenario.cap, scenarios=() if wrong else (scenario,))
         about_loop, derive = _loop_findings(mission, word if derivation else None)
         problems += about_loop
     elif kind == "study":
-        plan = load_plan(path)
+        plan = lib.load_plan(path)
         for leg in plan.legs:
-            problems += findings(leg.scenario, leg.vehicle)
+            problems += lib.findings(leg.scenario, leg.vehicle)
         wrong = any(one.level == "error" for one in problems)
         # another law is linearised about its runs, which `study` simulates
-        if not wrong and has_cruise_loop(plan.law, plan.guidance):
+        if not wrong and lib.has_cruise_loop(plan.law, plan.guidance):
             source = Path(plan.vehicle.source)
-            word = plan.vehicle.name if source.parent == VEHICLES else str(source)
-            about_loop, derive = _loop_findings(assessed(plan, plan.gains), word if plan.derivation else None)
+            word = plan.vehicle.name if source.parent == lib.VEHICLES else str(source)
+            about_loop, derive = _loop_findings(lib.assessed(plan, plan.gains), word if plan.derivation else None)
             problems += about_loop
         problems += _goal_findings(plan)
     elif isinstance(kind, str) and kind in plain:
@@ -173,12 +145,8 @@ def lint(words: Sequence[str], vehicle: str | None, **_: Any) -> Linted:
 
 def _path_and_kind(file: str) -> tuple[str, Any]:
     """Return the path of a file or of a built-in scenario or vehicle, and the kind that it states."""
-    from surctl.files import read_toml
-    from surctl.marine.simulation import LIBRARY
-    from surctl.marine.vehicle import LIBRARY as VEHICLES
-
-    built_in = {path.stem: path for library in (LIBRARY, VEHICLES) for path in library.glob("*.toml")}
+    built_in = {path.stem: path for library in (lib.SCENARIOS, lib.VEHICLES) for path in library.glob("*.toml")}
     if not (Path(file).suffix or set("/\\") & set(file)):  # a bare name
         check_known(file, built_in, "unknown scenario or vehicle", key="file")
     path = str(built_in.get(file, file))
-    return path, read_toml(Path(path)).get("kind")
+    return path, lib.read_toml(Path(path)).get("kind")

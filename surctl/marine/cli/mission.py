@@ -5,11 +5,14 @@ from __future__ import annotations
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 
+from surctl.cli.new import path_of, write_new
 from surctl.cli.options import FILE, FiniteRange
 from surctl.cli.output import as_json, finish
+from surctl.marine.cli import lib
 
 _SPEED = 0.15  # m/s, if neither the command nor the file gives a speed
 
@@ -50,15 +53,7 @@ def scenario() -> None:
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @as_json
 def from_plan(
-    plan: Path,
-    name: str | None,
-    vehicle: str,
-    cruise: float | None,
-    depth: float | None,
-    margin: float,
-    out: Path | None,
-    force: bool,
-    as_json: bool,
+    plan: Path, name: str | None, cruise: float | None, out: Path | None, force: bool, as_json: bool, **kind: Any
 ) -> None:
     """Write a scenario file with the path of a QGroundControl plan (.plan) or of a GPX file.
 
@@ -69,15 +64,12 @@ def from_plan(
 
     Example: surctl scenario from-plan survey.plan --depth -2 --out survey.toml
     """
-    from surctl.cli.new import path_of, write_new
-    from surctl.marine.simulation.plan_file import mission_scenario, read_mission
-
-    mission = read_mission(plan)
+    mission = lib.read_mission(plan)
     speed = cruise or mission.speed or _SPEED
     title = name or plan.stem
     if not (cruise or mission.speed):
         mission = replace(mission, notes=(*mission.notes, f"no speed: {_SPEED:g} m/s is assumed (--cruise)"))
-    text, notes = mission_scenario(mission, title, vehicle=vehicle, cruise=speed, margin=margin, depth=depth)
+    text, notes = lib.mission_scenario(mission, title, cruise=speed, **kind)
     target = write_new(out or path_of(title, ".toml"), text, force=force)
     shown = shlex.quote(str(target))
     lines = [f"{title}: {len(mission.points)} waypoints at {speed:g} m/s", *(f"  note: {note}" for note in notes)]

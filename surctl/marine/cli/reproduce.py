@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
 from surctl.cli.options import Count, out_folder
 from surctl.cli.output import as_json, finish, progress, result_command, saving, stoppable
-
-if TYPE_CHECKING:
-    from surctl.marine.reproduction import Row
+from surctl.marine.cli import lib
 
 
 @click.command
@@ -26,15 +24,7 @@ if TYPE_CHECKING:
 )
 @out_folder
 @as_json
-def reproduce(
-    rows: tuple[str, ...],
-    quick: bool,
-    seeds: int | None,
-    independent: bool,
-    webots: bool,
-    out: Path | None,
-    as_json: bool,
-) -> None:
+def reproduce(rows: tuple[str, ...], out: Path | None, as_json: bool, **how: Any) -> None:
     """Compute the results of the robot's paper again, and compare them with the results in the paper. Each result is a
     row of the output; name ROWS to compute only some results.
 
@@ -44,32 +34,19 @@ def reproduce(
 
     Examples: surctl reproduce --quick; surctl reproduce tank-static E5 v1-printed; surctl reproduce --out paper
     """
-    from surctl.files import prepare_folder
-    from surctl.marine.reproduction import reproduce as compute
-
     if out is not None:
-        prepare_folder(out)
+        lib.prepare_folder(out)
     lines = list[str]()
     above, message = "the rows above are finished", "for the other rows: surctl reproduce ROW"
     with stoppable(message, lines, above=above, as_json=as_json):
-        done = compute(
-            rows,
-            quick=quick,
-            seeds=seeds,
-            independent=independent,
-            webots=webots,
-            progress=progress,
-            done=lambda row: lines.extend(row_lines(row)),
-        )
+        done = lib.reproduce(rows, **how, progress=progress, done=lambda row: lines.extend(row_lines(row)))
     lines += [f"FAIL {name}: the row is missing" for name in done.missing]
     total = f"{done.counts}, {sum(row.seconds for row in done.rows):.1f} s"
     lines.append(total)
     result = done.to_dict()
     if out is not None:
         with saving("page"):
-            from surctl.marine.reproduction.reproduction import write_reproduction
-
-            page = write_reproduction(done, out / "reproduction.html", command=result_command())
+            page = lib.write_reproduction(done, out / "reproduction.html", command=result_command())
             lines.append(f"page {page}")
             result["page"] = str(page)
     brief = [total, *(line for line in lines if line.startswith("FAIL"))]
@@ -77,7 +54,7 @@ def reproduce(
     finish(result, lines, as_json=as_json, passed=done.passed, brief=brief, files=files)
 
 
-def row_lines(row: Row) -> list[str]:
+def row_lines(row: lib.Row) -> list[str]:
     """Return the lines of one comparison: the paper's result, our result, the verdict and the command."""
     item, mark = row.item, "ok  " if row.as_expected else "FAIL"
     return [

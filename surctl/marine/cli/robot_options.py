@@ -7,19 +7,13 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import click
 
 from surctl.cli.options import option
 from surctl.errors import InputError, check_known
-
-if TYPE_CHECKING:
-    from surctl.assessment import Assessment
-    from surctl.marine.control import Gains, GainSpec
-    from surctl.marine.simulation import Case, SafetyClaim, Scenario, Sensing
-    from surctl.marine.vehicle import Vehicle
-    from surctl.verification import Inapplicable
+from surctl.marine.cli import lib
 
 DEFAULT_VEHICLE = "sur540-flooded"
 """The vehicle of a command without `--vehicle` and without a scenario."""
@@ -56,22 +50,21 @@ def choose_vehicle(option: str | None, scenario: tuple[str, str] | None = None) 
     return VehicleChoice(DEFAULT_VEHICLE, "default")
 
 
-def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:
+def at_hand(scenario: lib.Scenario, vehicle: lib.Vehicle, gains: str) -> list[str]:
     """Return the command-line options that select the given mission, vehicle and gain file."""
-    from surctl.marine.simulation import LIBRARY as SCENARIOS
-    from surctl.marine.vehicle import LIBRARY as VEHICLES
 
     def word(source: str, library: Path) -> str:
         return Path(source).stem if Path(source).parent == library else source
 
-    mission, robot = word(scenario.source, SCENARIOS) or scenario.name, word(vehicle.source, VEHICLES) or vehicle.name
+    mission = word(scenario.source, lib.SCENARIOS) or scenario.name
+    robot = word(vehicle.source, lib.VEHICLES) or vehicle.name
     return ["--scenario", mission, "--vehicle", robot, "--gains", gains]
 
 
 class GainsChoice(NamedTuple):
     """The gains, lines that say how they were derived (empty for a named set), and the same as data (or None)."""
 
-    gains: Gains
+    gains: lib.Gains
     lines: list[str]
     data: dict[str, Any] | None
 
@@ -82,30 +75,27 @@ class GainsChoice(NamedTuple):
 
 
 def choose_gains(
-    word: str | None, vehicle: Vehicle, *, cruise: float, own: Mapping[str, GainSpec] | None = None
+    word: str | None, vehicle: lib.Vehicle, *, cruise: float, own: Mapping[str, lib.GainSpec] | None = None
 ) -> GainsChoice:
     """Return the gains of the option `--gains`, or the default gains of the vehicle at a cruise speed [m/s]."""
     return choose_shared(word, [(vehicle, cruise)], own=own)
 
 
-def _beyond(pairs: Sequence[tuple[Vehicle, float]]) -> list[str]:
+def _beyond(pairs: Sequence[tuple[lib.Vehicle, float]]) -> list[str]:
     # one line for each vehicle whose cruise speed needs more thrust than laws give
-    from surctl.marine.vehicle.linearise import WITHIN_LAW, beyond_law
 
-    said = [(f"{cruise:g} m/s {vehicle.name}", beyond_law(vehicle, cruise)) for vehicle, cruise in pairs]
-    return list(dict.fromkeys(f"  warning: at {who} {beyond}; {WITHIN_LAW}" for who, beyond in said if beyond))
+    said = [(f"{cruise:g} m/s {vehicle.name}", lib.beyond_law(vehicle, cruise)) for vehicle, cruise in pairs]
+    return list(dict.fromkeys(f"  warning: at {who} {beyond}; {lib.WITHIN_LAW}" for who, beyond in said if beyond))
 
 
 def choose_shared(
-    word: str | None, pairs: Sequence[tuple[Vehicle, float]], *, own: Mapping[str, GainSpec] | None = None
+    word: str | None, pairs: Sequence[tuple[lib.Vehicle, float]], *, own: Mapping[str, lib.GainSpec] | None = None
 ) -> GainsChoice:
     """Return one gain set for several vehicles, each with its cruise speed [m/s]; see `tuning.shared_gains`."""
-    from surctl.marine.tuning.derived import has_tuned, shared_gains
-
-    gains, derivation = shared_gains(word, pairs, own=own)
+    gains, derivation = lib.shared_gains(word, pairs, own=own)
     if derivation is not None:
         return GainsChoice(gains, [*derivation.lines(), *_beyond(pairs)], derivation.to_dict())
-    others = dict.fromkeys(one.name for one, _ in pairs if word is None and not has_tuned(one))
+    others = dict.fromkeys(one.name for one, _ in pairs if word is None and not lib.has_tuned(one))
     why = "different vehicles share one set; for gains of one vehicle: surctl gains derive"
     said = [f"gains default, not derived from {', '.join(others)}: {why}"] if others else []
     return GainsChoice(gains, [*said, *_beyond(pairs)], None)
@@ -123,22 +113,20 @@ def derive_words(
     return shlex.join([*words, "--out", file, *(["--force"] if force else [])])
 
 
-def margin_short(contact: SafetyClaim | Inapplicable | None) -> float:
+def margin_short(contact: lib.SafetyClaim | lib.Inapplicable | None) -> float:
     """Return the gain `margin` [m] that a no-contact claim needs if it has too little; else a value not finite."""
-    from surctl.verification import Inapplicable
-
-    if contact is None or isinstance(contact, Inapplicable) or contact["margin needed"] <= contact["margin"]:
+    if contact is None or isinstance(contact, lib.Inapplicable) or contact["margin needed"] <= contact["margin"]:
         return math.nan
     return contact.least_margin
 
 
-def margin_of_all(assessment: Assessment) -> float:
+def margin_of_all(assessment: lib.Assessment) -> float:
     """Return the gain `margin` [m] that all no-contact claims of an assessment need; NaN if none has too little."""
     short = [margin_short(claim) for claim in assessment.sources.get("no contact") or ()]
     return max(filter(math.isfinite, short), default=math.nan)
 
 
-def choose_law(law: str | None, vehicles: Sequence[Vehicle]) -> tuple[str, list[str]]:
+def choose_law(law: str | None, vehicles: Sequence[lib.Vehicle]) -> tuple[str, list[str]]:
     """Return the reference of the law for the vehicles, and a line that says why, unless it is the usual default.
 
     Args:
@@ -148,48 +136,40 @@ def choose_law(law: str | None, vehicles: Sequence[Vehicle]) -> tuple[str, list[
     Raises:
         InputError: the law is unknown, a vehicle lacks a force that it needs, or the vehicles need different laws.
     """
-    from surctl.marine.control import LAW_NAMES, check_forces, default_law, law_ref
-
     if law is not None:
-        reference = law_ref(law, key="--law")
+        reference = lib.law_ref(law, key="--law")
         for vehicle in vehicles:
-            check_forces(reference, vehicle, key="--law")
+            lib.check_forces(reference, vehicle, key="--law")
         return reference, []
-    chosen = {default_law(vehicle): vehicle.name for vehicle in vehicles}
+    chosen = {lib.default_law(vehicle): vehicle.name for vehicle in vehicles}
     if len(chosen) > 1:
         names = " and ".join(f"{name} for {vehicle}" for name, vehicle in chosen.items())
         raise InputError(f"the vehicles need different laws, {names}", key="--law", remedy="run them one by one")
-    reference, name = next(iter(chosen.items()), (LAW_NAMES[0], ""))
-    if reference == LAW_NAMES[0]:
+    reference, name = next(iter(chosen.items()), (lib.LAW_NAMES[0], ""))
+    if reference == lib.LAW_NAMES[0]:
         return reference, []
     return reference, [f"law {reference}, because {name} has no sway force (Fv_max = 0)"]
 
 
-def choose_sensing(option: str | None, law: str) -> Sensing:
+def choose_sensing(option: str | None, law: str) -> lib.Sensing:
     """Return the value of the option `--sensing`, by default sonar if the law can use it.
 
     Raises:
         InputError: the value is unknown, or the law does not support it.
     """
-    from surctl.marine.control import law_source
-    from surctl.marine.simulation import SENSING
-    from surctl.own_code import label
-
-    supported = law_source(law).sensing
+    supported = lib.law_source(law).sensing
     if option is None:
         return "sonar" if "sonar" in supported else "truth"
-    check_known(option, SENSING, key="--sensing")
+    check_known(option, lib.SENSING, key="--sensing")
     if option not in supported:
-        problem, remedy = f"law {label(law)} supports only {' and '.join(supported)}", f"set --sensing {supported[0]}"
-        raise InputError(problem, key="--sensing", value=option, remedy=remedy)
-    return cast("Sensing", option)
+        problem = f"law {lib.label(law)} supports only {' and '.join(supported)}"
+        raise InputError(problem, key="--sensing", value=option, remedy=f"set --sensing {supported[0]}")
+    return cast("lib.Sensing", option)
 
 
 def law_words(reference: str) -> list[str]:
     """Return the command-line options that select this law, for a suggested command."""
-    from surctl.own_code import own_file
-
-    return ["--law", own_file(reference)]
+    return ["--law", lib.own_file(reference)]
 
 
 TRUST = "Permit running the Python law of a study or saved run."
@@ -198,13 +178,11 @@ TRUST = "Permit running the Python law of a study or saved run."
 
 def check_barrier(barrier: str, movers: str) -> None:
     """Raise InputError if one of the options has an unknown value."""
-    from surctl.marine.control import BARRIER_NAMES, MOVERS
-
-    for key, value, known in (("barrier", barrier, BARRIER_NAMES), ("movers", movers, MOVERS)):
+    for key, value, known in (("barrier", barrier, lib.BARRIER_NAMES), ("movers", movers, lib.MOVERS)):
         check_known(value, known, key=key)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class RobotOptions:
     """The options that select the robot and its law; those that a command does not have keep their defaults.
 
@@ -248,18 +226,11 @@ class RobotOptions:
         "--movers", "Moving obstacles: predict (default), barrier (brakes only).", "predict", metavar="NAME"
     )
 
-    def case(self, law: str, scenario: Scenario, vehicle: Vehicle, gains: Gains) -> Case:
+    def case(self, law: str, scenario: lib.Scenario, vehicle: lib.Vehicle, gains: lib.Gains) -> lib.Case:
         """Return the case of a scenario with a vehicle, gains and a law."""
-        from surctl.marine.simulation import Case
-
-        kind: dict[str, Any] = {"mode": self.priority_mode, "sensing": self.sensing or "truth", **self.forms}
-        return Case(scenario, vehicle, gains, law, **kind)
-
-    @property
-    def forms(self) -> dict[str, Any]:
-        """The forms of guidance and avoidance, as keywords of `build_law` and `Case`."""
-        forms = {"avoidance": self.avoidance, "guidance": self.guidance}
-        return {**forms, "barrier": self.barrier, "movers": self.movers}
+        kind: dict[str, Any] = {"mode": self.priority_mode, "sensing": self.sensing or "truth"}
+        kind |= {name: getattr(self, name) for name in ("avoidance", "guidance", "barrier", "movers")}
+        return lib.Case(scenario, vehicle, gains, law, **kind)
 
 
 class Speeds(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.4 only
@@ -269,23 +240,20 @@ class Speeds(click.ParamType):  # type: ignore[type-arg]  # generic since click 
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
         """Return the cruise speeds, slowest first; InputError if the text is not a list or range of speeds."""
-        from surctl.marine.verification.speeds import cruise_speeds
-        from surctl.tuning import Span, parse_axis
-
         key, text = "--cruise", str(value)
         single = text.split(",")
         if ".." not in text:
             try:
-                return cruise_speeds([float(word) for word in single if word.strip() or len(single) > 1], key=key)
+                return lib.cruise_speeds([float(word) for word in single if word.strip() or len(single) > 1], key=key)
             except ValueError:
                 pass
         else:
             try:
-                axis = parse_axis(f"cruise={text}")
+                axis = lib.parse_axis(f"cruise={text}")
             except InputError as error:
                 raise InputError(error.problem, key=key, value=text, remedy=f"write {self.name}") from None
-            if not isinstance(axis, Span):
-                return cruise_speeds(axis.values, key=key)
+            if not isinstance(axis, lib.Span):
+                return lib.cruise_speeds(axis.values, key=key)
         raise InputError("is not a list of speeds", key=key, value=text, remedy=f"write {self.name}, in m/s")
 
 
@@ -298,22 +266,20 @@ MISSION = "pool-static"
 _TRIED = (MISSION, "tank-static")
 
 
-def fitting_scenario(vehicle: Vehicle, scenario: str | None = None) -> str | None:
+def fitting_scenario(vehicle: lib.Vehicle, scenario: str | None = None) -> str | None:
     """Return the first of the tried scenarios for which `findings` reports no error with this hull, or None.
 
     If `scenario` is given, only this scenario is tried; otherwise first the default scenario of `surctl export`, then
     `tank-static`.
     """
-    from surctl.marine.simulation import load_scenario
-
     tried = _TRIED if scenario is None else (scenario,)
-    return next((word for word in tried if _fits(load_scenario(word), vehicle)), None)
+    return next((word for word in tried if _fits(lib.load_scenario(word), vehicle)), None)
 
 
 def export_command(
     scenario: str | None,
     vehicle: str,
-    gains: str | Gains,
+    gains: str | lib.Gains,
     certificates: Sequence[Path] = (),
     *,
     file: str | None = None,
@@ -333,29 +299,22 @@ def export_command(
         guidance: path guidance; None: the default of the command.
         sensing: "sonar" or "truth".
     """
-    from surctl.marine.control import load_gains
-    from surctl.marine.export.origin import fitting_certificates
-    from surctl.marine.simulation import law_numbers, load_scenario, vehicle_law
-    from surctl.marine.vehicle import load_vehicle
-
-    robot = load_vehicle(vehicle)
+    robot = lib.load_vehicle(vehicle)
     chosen = fitting_scenario(robot, scenario)
     if chosen is None:
         return []
     travel: Sequence[Path] = ()
     if certificates:
-        values = load_gains(gains) if isinstance(gains, str) else gains
-        numbers = law_numbers(load_scenario(chosen), values, robot)
-        travel = fitting_certificates(certificates, vehicle_law(robot, law), robot, numbers)
+        values = lib.load_gains(gains) if isinstance(gains, str) else gains
+        numbers = lib.law_numbers(lib.load_scenario(chosen), values, robot)
+        travel = lib.fitting_certificates(certificates, lib.vehicle_law(robot, law), robot, numbers)
     words = ["surctl", "export", "--scenario", chosen, "--vehicle", vehicle, "--gains", file or str(gains)]
     words += [*law_words(law), *(() if guidance is None else ("--guidance", guidance)), "--sensing", sensing]
     return [shlex.join([*words, *(word for file in travel for word in ("--certificate", str(file)))])]
 
 
-def _fits(scenario: Scenario, vehicle: Vehicle) -> bool:
-    from surctl.marine.simulation import findings
-
+def _fits(scenario: lib.Scenario, vehicle: lib.Vehicle) -> bool:
     try:
-        return not any(finding.level == "error" for finding in findings(scenario, vehicle))
+        return not any(finding.level == "error" for finding in lib.findings(scenario, vehicle))
     except InputError:  # the start lies inside an obstacle
         return False

@@ -7,19 +7,12 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from surctl.cli.options import FILE, option
+from surctl.cli.options import FILE, changed, option
 from surctl.cli.output import doing, progress, saving
 from surctl.errors import InputError
-
-if TYPE_CHECKING:
-    from surctl.export import SerialLine
-    from surctl.marine.control import Law
-    from surctl.marine.engine import EngineOptions
-    from surctl.marine.export import CompiledLaw, LinkedLaw, LinkFaults
-    from surctl.marine.simulation import Case, Run, ThrusterFault
-    from surctl.marine.vehicle import Vehicle
+from surctl.marine.cli import lib
 
 
 def check_animate(path: Path | None, *, runs: int, campaign: bool, film: Path | None = None) -> None:
@@ -29,9 +22,6 @@ def check_animate(path: Path | None, *, runs: int, campaign: bool, film: Path | 
     """
     if path is None:
         return
-    from surctl.files import prepare_folder
-    from surctl.marine.report.animation import check_animation
-
     if campaign:
         remedy = "simulate one run of DIR/worst: --from FILE --animate"
         raise InputError("shows one run, not a campaign", key="--animate", value=str(path), remedy=remedy)
@@ -41,10 +31,10 @@ def check_animate(path: Path | None, *, runs: int, campaign: bool, film: Path | 
         )
     if film is not None and film.resolve() == path.resolve():
         raise InputError("is also the file of --film", key="--animate", value=str(path), remedy="name two files")
-    prepare_folder(check_animation(path).parent, key="--animate", value=path)
+    lib.prepare_folder(lib.check_animation(path).parent, key="--animate", value=path)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class PlantOptions:
     """The options for the physics on the command line, and the number of processes."""
 
@@ -53,27 +43,18 @@ class PlantOptions:
     view: bool = option("--view", "Show a run with --plant mujoco in a window.", False)
     threads: int | None = None
 
-    @property
-    def own(self) -> bool:
-        """Whether the physics is surctl's own."""
-        return self.plant == "own"
-
-    def check(self, *, campaign: bool, runs: int, controller: str | None, sensing: str) -> EngineOptions | None:
+    def check(self, *, campaign: bool, runs: int, controller: str | None, sensing: str) -> lib.EngineOptions | None:
         """Return the options of MuJoCo, None for surctl's own physics.
 
         Raises:
             InputError: an option is wrong, or does not go with another one.
             ToolMissing: MuJoCo is not installed, or no program writes the film.
         """
-        from surctl.marine.engine.fluid import parse_plant
-
-        chosen = parse_plant(self.plant)
-        requested = [("--film", self.film), ("--view", self.view or None)]
-        for key, value in requested if chosen is None else ():
-            if value is not None:
-                raise InputError(
-                    "applies only to runs in MuJoCo", key=key, remedy="add --plant mujoco; --animate shows all"
-                )
+        chosen = lib.parse_plant(self.plant)
+        requested = [name for name in changed(self) if name != "--plant"]
+        for key in requested if chosen is None else ():
+            remedy = "add --plant mujoco; --animate shows all"
+            raise InputError("applies only to runs in MuJoCo", key=key, remedy=remedy)
         if chosen is None:
             return None
         if campaign:
@@ -83,33 +64,24 @@ class PlantOptions:
         if controller is not None and controller != "c" and self.threads not in (None, 1):
             remedy = "drop --threads, or give --controller c"
             raise InputError("has one connection", key="--controller", value=controller, remedy=remedy)
-        for key, value in requested:
-            if value is not None and runs != 1:
-                remedy = "name one scenario, drop --runs"
-                raise InputError(f"shows one run, not {runs}", key=key, remedy=remedy)
+        for key in requested if runs != 1 else ():
+            remedy = "name one scenario, drop --runs"
+            raise InputError(f"shows one run, not {runs}", key=key, remedy=remedy)
         if self.view and self.threads not in (None, 1):
             raise InputError("opens one window", key="--view", remedy="drop --threads")
         unheard = chosen.unheard if sensing == "truth" else ()
         for key in unheard[:1]:
             remedy = "add --sensing sonar, or drop it"
             raise InputError("has no effect with true positions", key=f"--plant mujoco:{key}", remedy=remedy)
-        from surctl.marine.engine.mjcf import mujoco_library
-
-        mujoco_library()
+        lib.mujoco_library()
         if self.film is not None:
-            from surctl.files import prepare_folder
-            from surctl.marine.engine.pictures import check_pictures
-            from surctl.marine.report.animation import check_animation
-
-            check_pictures()
-            prepare_folder(check_animation(self.film, key="--film").parent, key="--film", value=self.film)
+            lib.check_pictures()
+            lib.prepare_folder(lib.check_animation(self.film, key="--film").parent, key="--film", value=self.film)
         if self.view:
-            from surctl.marine.engine.pictures import check_screen
-
-            check_screen()
+            lib.check_screen()
         return chosen
 
-    def fit(self, options: EngineOptions | None, vehicles: Iterable[Vehicle]) -> None:
+    def fit(self, options: lib.EngineOptions | None, vehicles: Iterable[lib.Vehicle]) -> None:
         """Raise InputError if the options do not fit one of the vehicles."""
         for vehicle in vehicles if options is not None else ():
             try:
@@ -120,34 +92,26 @@ class PlantOptions:
 
     def runs(
         self,
-        options: EngineOptions | None,
-        case: Case,
-        law: Law,
+        options: lib.EngineOptions | None,
+        case: lib.Case,
+        law: lib.Law,
         seeds: Iterable[int],
         *,
         fallback: str,
-        faults: tuple[ThrusterFault, ...],
-        linked: Callable[..., LinkedLaw | CompiledLaw | None],
-        compiled: type[CompiledLaw] | None,
-    ) -> Iterator[tuple[Run, Any]]:
+        faults: tuple[lib.ThrusterFault, ...],
+        linked: Callable[..., lib.LinkedLaw | lib.CompiledLaw | None],
+        compiled: type[lib.CompiledLaw] | None,
+    ) -> Iterator[tuple[lib.Run, Any]]:
         """Yield each run with the report of what computed its control steps in place of the law, or None."""
-        from surctl.marine.simulation import OwnPhysics
-        from surctl.marine.simulation.loop import simulate_case
-
-        physics: Any = OwnPhysics
+        physics: Any = lib.OwnPhysics
         if options is not None:
-            from surctl.marine.engine import BatchCase, mujoco_physics
-            from surctl.marine.engine.physics import simulate_with_steppers
-
-            physics = mujoco_physics(options)
+            physics = lib.mujoco_physics(options)
             if self.threads not in (None, 1):
-                batch_case = BatchCase(case, physics, fallback, faults, compiled)
-                yield from simulate_with_steppers(batch_case, list(seeds), processes=self.threads or 1)
+                batch_case = lib.BatchCase(case, physics, fallback, faults, compiled)
+                yield from lib.simulate_with_steppers(batch_case, list(seeds), processes=self.threads or 1)
                 return
             if self.view:
-                from surctl.marine.engine.pictures import watched
-
-                physics = watched(physics)
+                physics = lib.watched(physics)
 
         def watch(time: float) -> None:
             doing(f"{case.scenario.name}: {f'{time:.1f} s simulated' if time else 'building the law'}")
@@ -155,10 +119,10 @@ class PlantOptions:
         about: dict[str, Any] = {"law": law, "thruster_faults": faults, "physics": physics, "watch": watch}
         for seed in seeds:
             stepper = linked(seed=seed)
-            run = simulate_case(case, seed=seed, stepper=stepper, **about)
+            run = lib.simulate_case(case, seed=seed, stepper=stepper, **about)
             yield run, None if stepper is None else stepper.report()
 
-    def output(self, run: Run, options: EngineOptions | None, result: dict[str, Any]) -> list[str]:
+    def output(self, run: lib.Run, options: lib.EngineOptions | None, result: dict[str, Any]) -> list[str]:
         """Return lines about the physics of a run, and write its film; add both to `result`."""
         if options is None:
             return []
@@ -170,14 +134,12 @@ class PlantOptions:
         result["plant_options"] = options.of(run.vehicle).model_dump(mode="json")
         if self.film is not None:
             with saving("film"):
-                from surctl.marine.report import save_film
-
-                result["film"] = str(save_film(run, self.film, options=options))
+                result["film"] = str(lib.save_film(run, self.film, options=options))
                 lines.append(f"  {result['film']}")
         return lines
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ControllerOptions:
     """The options for the controller process and its connection; an option that is not given has the value None."""
 
@@ -200,14 +162,7 @@ class ControllerOptions:
 
     def check(self, *, campaign: bool) -> None:
         """Raise InputError for options that exclude each other, or that require another option that is not given."""
-        options = {
-            "loss": self.link_loss,
-            "delay": self.link_delay,
-            "deadline": self.link_deadline,
-            "timeout": self.link_timeout,
-        }
-        alone = [f"--link-{name}" for name, value in options.items() if value is not None]
-        alone += ["--link-compact"] * self.link_compact
+        alone = [name for name in changed(self) if name != "--controller"]
         if self.controller in (None, "c"):
             if alone:
                 raise InputError(
@@ -229,16 +184,14 @@ class ControllerOptions:
         self._faults(seed=0)
 
     @property
-    def compiled(self) -> type[CompiledLaw] | None:
+    def compiled(self) -> type[lib.CompiledLaw] | None:
         """What computes each step by the law's C in this process, if it is requested."""
         if self.controller != "c":
             return None
-        from surctl.marine.export import CompiledLaw
-
-        return CompiledLaw
+        return lib.CompiledLaw
 
     @contextmanager
-    def opened(self, case: Case, law: Law) -> Iterator[Callable[..., LinkedLaw | CompiledLaw | None]]:
+    def opened(self, case: lib.Case, law: lib.Law) -> Iterator[Callable[..., lib.LinkedLaw | lib.CompiledLaw | None]]:
         """Return the function that computes each step of a run with a `seed` as C, here or over a connection.
 
         The function returns None if no option requests one.
@@ -251,39 +204,29 @@ class ControllerOptions:
         if self.controller is None or compiled is not None:
             yield lambda seed: None if compiled is None else compiled(law)
             return
-        from surctl.export import connect, emulated, emulated_target
-        from surctl.marine.export import LinkedLaw, build_bundle, closed_form, operating_envelope
-        from surctl.marine.simulation import law_numbers
-
         mission, local = case.scenario, self.controller.startswith("qemu:")
         if mission.path.fed and local:
             problem = "cannot receive a path of more than 8 points, or speeds or depths for its legs"
             remedy = "give at most 8 points, or use tcp://HOST:PORT, whose controller has the mission in its bundle"
             raise InputError(problem, key="--controller", value=self.controller, remedy=remedy)
-        p = law_numbers(mission, case.gains, case.vehicle)
-        within = operating_envelope(law, mission, case.vehicle, law.gains, tuned=p)
+        p = lib.law_numbers(mission, case.gains, case.vehicle)
+        within = lib.operating_envelope(law, mission, case.vehicle, law.gains, tuned=p)
         patience = {} if self.link_timeout is None else {"patience": self.link_timeout}
         with ExitStack() as stack:
             if local:
-                target = emulated_target(self.controller.removeprefix("qemu:"))
-                shipped, numbers = closed_form(law, real="float32"), law.gains.unpack(p)
-                bundle = build_bundle(shipped, numbers, real="float32", envelope=within)
+                target = lib.emulated_target(self.controller.removeprefix("qemu:"))
+                shipped, numbers = lib.closed_form(law, real="float32"), law.gains.unpack(p)
+                bundle = lib.build_bundle(shipped, numbers, real="float32", envelope=within)
                 progress(f"compiling for {target.name}")
                 scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="surctl-pil-"))
-                line: SerialLine = stack.enter_context(emulated(bundle, target, Path(scratch)))
+                line: lib.SerialLine = stack.enter_context(lib.emulated(bundle, target, Path(scratch)))
                 line.patience = patience.get("patience", line.patience)
             else:
-                line = stack.enter_context(connect(self.controller, **patience))
+                line = stack.enter_context(lib.connect(self.controller, **patience))
             about: dict[str, Any] = {"compact": self.link_compact, "fed": mission.path.fed}
-            yield lambda seed: LinkedLaw(law, p, line, self._faults(seed=seed), within, **about)
+            yield lambda seed: lib.LinkedLaw(law, p, line, self._faults(seed=seed), within, **about)
 
-    def _faults(self, *, seed: int) -> LinkFaults:
-        from surctl.marine.export import LinkFaults
-
-        usual = LinkFaults()
-        options = (self.link_loss, self.link_delay, self.link_deadline)
-        loss, delay, deadline = (
-            value if value is not None else other
-            for value, other in zip(options, (usual.loss, usual.delay, usual.deadline), strict=True)
-        )
-        return LinkFaults(loss, delay, deadline, seed)
+    def _faults(self, *, seed: int) -> lib.LinkFaults:
+        stated = {"loss": self.link_loss, "delay": self.link_delay, "deadline": self.link_deadline}
+        known = {name: value for name, value in stated.items() if value is not None}
+        return lib.LinkFaults(**known, seed=seed)

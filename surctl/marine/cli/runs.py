@@ -2,35 +2,30 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
-from surctl.cli.options import FILE, Count, option
-from surctl.cli.output import finish, prepare_out, progress, same_command, saving, stoppable
+from surctl.cli.options import FILE, Count, changed, option, typed
+from surctl.cli.output import finish, finite, prepare_out, progress, same_command, saving, stoppable
 from surctl.cli.simulate import Ran, conduct_runs
 from surctl.errors import InputError
+from surctl.marine.cli import lib
 from surctl.marine.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
 
 if TYPE_CHECKING:
     from surctl.marine.cli.sensor_options import SensorOptions
-    from surctl.marine.control import Gains, Law
-    from surctl.marine.simulation import Case, Run, SafetyClaim
-    from surctl.marine.simulation.campaign.campaign import Campaign
-    from surctl.marine.simulation.campaign.worlds import Plan
-    from surctl.marine.vehicle import Vehicle
-    from surctl.verification import Inapplicable
 
 _ROUNDING = 1e-9  # [N/s], [N m/s] variation of a thrust below which it is that of rounding
 _CRABBING = 15.0  # [deg] mean crab angle from which the line of a run says that the hull crabs
 
 
-def run_line(run: Run) -> str:
+def run_line(run: lib.Run) -> str:
     """Return one line with the scenario, the vehicle, how the run ended, and its main metrics."""
     m = run.metrics
     missed = (
@@ -46,7 +41,7 @@ def run_line(run: Run) -> str:
     )
 
 
-def activity_line(run: Run) -> str:
+def activity_line(run: lib.Run) -> str:
     """Return one line with crab angle, heading error, thrust activity and wasted thrust of a run."""
     m = run.metrics
     angles = f"crab angle {m.crab_angle_deg:.0f} deg (largest {m.max_crab_angle_deg:.0f}), " * (m.crab_angle_deg >= 0)
@@ -67,7 +62,6 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
     The lines name two runs that collide or do not arrive, and what all runs share: echoes that hide obstacles, or else
     a low margin of the linear loop.
     """
-
     times = [run["time_s"] for run in runs if run["reached"]]
     worst = min(runs, key=lambda run: run["min_clearance_m"])
     collided = sum(run["min_clearance_m"] <= 0 for run in runs)
@@ -93,7 +87,7 @@ def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines
 
 
-def loop_lines_of_run(run: Run, result: dict[str, Any]) -> list[str]:
+def loop_lines_of_run(run: lib.Run, result: dict[str, Any]) -> list[str]:
     """Add to `result` whether the linear loop at cruise speed is stable; return lines to print if its margin is low."""
     crab = run.metrics.crab_angle_deg
     result["linear"], lines = linear_warning(
@@ -104,7 +98,13 @@ def loop_lines_of_run(run: Run, result: dict[str, Any]) -> list[str]:
 
 
 def linear_warning(
-    vehicle: Vehicle, gains: Gains, law: Law, *, cruise: float, model: Vehicle | None = None, crab: str = ""
+    vehicle: lib.Vehicle,
+    gains: lib.Gains,
+    law: lib.Law,
+    *,
+    cruise: float,
+    model: lib.Vehicle | None = None,
+    crab: str = "",
 ) -> tuple[dict[str, Any] | None, list[str]]:
     """Return the stability and the margins of the linear loop of a run as data, and lines about a defect.
 
@@ -112,16 +112,11 @@ def linear_warning(
     None if the law has no linear loop about a cruise, or if the thrust cannot hold the speed (which lint reports).
     `crab` is appended to the first line.
     """
-    from surctl.marine.control import law_source
-    from surctl.marine.verification import law_corners
-    from surctl.marine.verification.cruise_loop import has_cruise_loop
-    from surctl.marine.verification.linear import slowest_mode
-
-    steered = law_source(law.ref).steering is not None
-    if not (steered or has_cruise_loop(law.ref, law.guidance)):
+    steered = lib.law_source(law.ref).steering is not None
+    if not (steered or lib.has_cruise_loop(law.ref, law.guidance)):
         return None, []
     try:
-        least = law_corners(law, vehicle, gains, cruise=cruise, model=model, proved=steered)
+        least = lib.law_corners(law, vehicle, gains, cruise=cruise, model=model, proved=steered)
     except InputError:
         return None, []
     stable = least.nominal.stable
@@ -130,7 +125,7 @@ def linear_warning(
     if least.enough:
         return data, []
     about: dict[str, Any] = {"cruise": cruise, "dt": law.dt, "model": model, "law": law.ref}
-    mode = None if steered else slowest_mode(vehicle, gains.values, **about)
+    mode = None if steered else lib.slowest_mode(vehicle, gains.values, **about)
     data["mode"] = None if mode is None else mode.to_dict()
     if stable:
         word = f"has {least.short}" if least.disk > 0 else f"is unstable at {least.corner}"
@@ -139,7 +134,7 @@ def linear_warning(
     return data, [f"  the linear loop at {cruise:g} m/s is unstable{crab}{':' if lines else ''}", *lines]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class RunOutput:
     """What is printed and written of each run.
 
@@ -155,7 +150,7 @@ class RunOutput:
     frame: str | None = option("--frame", "Axes in the files of --save: enu (default) or ned.", metavar="NAME")
 
     def ran(
-        self, run: Run, data: dict[str, Any], *, head: str = "", passed: bool = True, middle: Sequence[str] = (),
+        self, run: lib.Run, data: dict[str, Any], *, head: str = "", passed: bool = True, middle: Sequence[str] = (),
         link: Any = None,
     ) -> Ran:  # fmt: skip
         """Return what a run shows, and write its files.
@@ -168,30 +163,25 @@ class RunOutput:
             middle: lines about its physics.
             link: report of what computed its control steps in place of the law, or None.
         """
-        from surctl.marine.simulation import save_record
-        from surctl.marine.simulation.clearance import start_findings
-        from surctl.marine.simulation.echo_fit import level_findings
-        from surctl.marine.simulation.explanation import failure, stop_reason
-
         first = head or run_line(run)
         weak = loop_lines_of_run(run, data)
-        echoes = level_findings(run.scenario, run.vehicle) if run.sensing == "sonar" else []
+        echoes = lib.level_findings(run.scenario, run.vehicle) if run.sensing == "sonar" else []
         data["echo_warnings"] = [one.text for one in echoes]
         data["start_warnings"] = [
             f"{one.text}; this is no collision, because walls stop a run only after the hull was clear of them"
-            for one in start_findings(run.scenario, run.vehicle)
+            for one in lib.start_findings(run.scenario, run.vehicle)
             if one.clearance_m is not None and one.clearance_m < 0
         ]
         warnings = [*data["start_warnings"], *data["echo_warnings"]]
         brief = [first, *(f"warning: {text.strip(' :')}" for text in (*warnings, *weak[:1]))]
         lines = [first, activity_line(run), *middle, *(f"  {text}" for text in warnings), *weak]
-        if reason := stop_reason(run):
+        if reason := lib.stop_reason(run):
             data["stop_reason"] = reason
             brief.append(f"{run.metrics.stopped_because}: {reason}")
             lines.append(f"  {brief[-1]}")
         if self.save is not None and self.out is not None:
             with saving("record"):
-                data["file"] = str(save_record(run, self.out, kind=self.save, frame=self.frame or "enu"))
+                data["file"] = str(lib.save_record(run, self.out, kind=self.save, frame=self.frame or "enu"))
                 lines.append(f"  {data['file']}")
         lines += self.further(run, data)
         if link is not None:
@@ -199,40 +189,27 @@ class RunOutput:
             brief.append(link.line())
             lines.append(f"  {brief[-1]}")
             passed = passed and not data["link"]["differing"]
-        return Ran(data, lines, brief, passed and failure(run) is None)
+        return Ran(data, lines, brief, passed and lib.failure(run) is None)
 
-    def further(self, run: Run, data: dict[str, Any]) -> list[str]:
+    def further(self, run: lib.Run, data: dict[str, Any]) -> list[str]:
         """Return lines about depth changes, thrusters, explanations, plots and animation, and write the last two."""
-        from surctl.marine.simulation.run import depth_changes
-        from surctl.marine.simulation.thruster_faults import thruster_use
-
-        lines = [f"  {change}" for change in depth_changes(run)]
-        if (use := thruster_use(run)) is not None:
+        lines = [f"  {change}" for change in lib.depth_changes(run)]
+        if (use := lib.thruster_use(run)) is not None:
             data["thrusters"] = use.to_dict()
             lines.append(f"  {use.line()}")
         if self.explained:
-            from surctl.marine.simulation import explain
-
-            explanations = explain(run)
+            explanations = lib.explain(run)
             data["explanations"] = [asdict(one) for one in explanations]
             lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in explanations]
         if self.out is not None:
             with saving("plots"):
-                from surctl.marine.report import plot_priority, save_run
-                from surctl.marine.report.files import run_labels
-                from surctl.marine.report.plan_view import describe
-                from surctl.marine.simulation import priority_timeline
-                from surctl.report.theme import save_figure
-
-                lines.append(f"  {save_run(run, self.out)}")
+                lines.append(f"  {lib.save_run(run, self.out)}")
                 if self.explained:
-                    priorities = plot_priority(priority_timeline(run), title=describe(run))
-                    lines.append(f"  {save_figure(priorities, self.out, (*run_labels(run), 'priority'))}")
+                    priorities = lib.plot_priority(lib.priority_timeline(run), title=lib.describe(run))
+                    lines.append(f"  {lib.save_figure(priorities, self.out, (*lib.run_labels(run), 'priority'))}")
         if self.animate is not None:
             with saving("animation"):
-                from surctl.marine.report import save_animation
-
-                data["animation"] = str(save_animation(run, self.animate))
+                data["animation"] = str(lib.save_animation(run, self.animate))
                 lines.append(f"  {data['animation']}")
         return lines
 
@@ -240,7 +217,7 @@ class RunOutput:
 MOST_ROWS = 100  # largest number of runs printed as JSON; the files in the output folder hold all runs
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class CampaignOptions:
     """The options about seeds and campaigns; an option that is not given has the value None."""
 
@@ -260,10 +237,9 @@ class CampaignOptions:
     def check(self, *, scenarios: tuple[str, ...], explained: bool, out: Path | None) -> None:
         """Raise InputError for options that exclude each other, or that require another option that is not given."""
         if not self.any:
-            for key, value in (("--worst", self.worst), ("--threads", self.threads), ("--fresh", self.fresh or None)):
-                if value is not None:
-                    remedy = "add --monte-carlo or --random-worlds N, or drop this option"
-                    raise InputError("applies only to a campaign", key=key, value=value, remedy=remedy)
+            for key, value in changed(replace(self, seed=0, runs=1)).items():
+                remedy = "add --monte-carlo or --random-worlds N, or drop this option"
+                raise InputError("applies only to a campaign", key=key, value=value, remedy=remedy)
         elif explained:
             remedy = "simulate one run of DIR/worst: --from FILE --explain"
             raise InputError("applies only to single runs", key="--explain", remedy=remedy)
@@ -282,44 +258,38 @@ class CampaignOptions:
         if len(set(scenarios)) < len(scenarios) and self.any:
             raise InputError("is named twice", key="SCENARIOS", value=" ".join(scenarios), remedy="name each once")
 
-    def plans(self, scenarios: tuple[str, ...], robot: RobotOptions, sensors: SensorOptions, *, law: str) -> list[Plan]:
+    def plans(
+        self, scenarios: tuple[str, ...], robot: RobotOptions, sensors: SensorOptions, *, law: str
+    ) -> list[lib.CampaignPlan]:
         """Return the plans of the requested campaigns.
 
         Raises:
             InputError: a name is unknown, or the law or a scenario does not support an option.
         """
-        from surctl.marine.control import law_source
-        from surctl.marine.simulation import Case, load_scenario
-        from surctl.marine.simulation.campaign.campaign import law_of
-        from surctl.marine.simulation.campaign.worlds import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, world_template
-        from surctl.marine.vehicle import load_vehicle
-
-        vehicles = [] if robot.vehicle is None else [load_vehicle(robot.vehicle)]
+        vehicles = [] if robot.vehicle is None else [lib.load_vehicle(robot.vehicle)]
         if self.worlds is None:
-            missions = [sensors.over(load_scenario(name)) for name in scenarios]
+            missions = [sensors.over(lib.load_scenario(name)) for name in scenarios]
         else:
-            vehicles = vehicles or [load_vehicle(WORLDS_VEHICLE)]
-            missions = [sensors.over(world_template(vehicles[0]))]
-        own, cases, lines = law_source(law).gains, list[Case](), list[str]()
+            vehicles = vehicles or [lib.load_vehicle(lib.WORLDS_VEHICLE)]
+            missions = [sensors.over(lib.world_template(vehicles[0]))]
+        own, cases, lines = lib.law_source(law).gains, list[lib.Case](), list[str]()
         for mission in missions:
-            craft = vehicles[0] if vehicles else load_vehicle(mission.vehicle)
+            craft = vehicles[0] if vehicles else lib.load_vehicle(mission.vehicle)
             tuned = choose_gains(robot.gains, craft, cruise=mission.cruise, own=own)
             lines += tuned.lines
             cases.append(robot.case(law, mission, craft, tuned.gains))
         for line in dict.fromkeys(lines):
             progress(line)
-        plans: list[Plan] = (
-            [MonteCarlo(case, self.seed) for case in cases]
-            if self.worlds is None
-            else [RandomWorlds(case, self.seed, self.monte_carlo) for case in cases]
-        )
+        plans: list[lib.CampaignPlan] = [lib.MonteCarlo(case, self.seed) for case in cases]
+        if self.worlds is not None:
+            plans = [lib.RandomWorlds(case, self.seed, self.monte_carlo) for case in cases]
         for plan in plans[:1]:
-            law_of(plan)  # reports a mistake before any file is written
+            lib.law_of(plan)  # reports a mistake before any file is written
         return plans
 
     def run(
         self,
-        plans: list[Plan],
+        plans: list[lib.CampaignPlan],
         first: Sequence[str] = (),
         *,
         vehicle: str | None,
@@ -330,15 +300,12 @@ class CampaignOptions:
 
         `vehicle` is the value of the option `--vehicle`, or None.
         """
-        from surctl.files import write_file
-        from surctl.marine.simulation.campaign.campaign import CampaignFolder, law_of, run_campaign
-
         names, runs = [plan.name for plan in plans], self.worlds or self.runs
         if len(set(names)) < len(names):
             raise InputError(
                 "two scenarios have the same name", key="SCENARIOS", value=" ".join(names), remedy="rename one"
             )
-        folder = None if out is None else CampaignFolder(out, tuple(plans))
+        folder = None if out is None else lib.CampaignFolder(out, tuple(plans))
         if folder is not None:
             folder.prepare(fresh=self.fresh)
         reports, lines, brief, good = [], list(first), list[str](), True
@@ -349,7 +316,7 @@ class CampaignOptions:
                 stoppable(message, lines, as_json=as_json),
                 nullcontext() if folder is None else folder.store(plan) as store,
             ):
-                campaign = run_campaign(plan, runs=runs, threads=self.threads or 2, store=store, progress=progress)
+                campaign = lib.run_campaign(plan, runs=runs, threads=self.threads or 2, store=store, progress=progress)
             worst = 5 if self.worst is None else self.worst
             files = list[Path]()
             if folder is not None:
@@ -361,7 +328,7 @@ class CampaignOptions:
             reports[-1]["vehicle_from"] = choice.origin
             case = plan.case  # with the unchanged scenario and vehicle
             reports[-1]["linear"], warning = linear_warning(
-                case.vehicle, case.gains, law_of(plan), cruise=case.scenario.cruise, model=case.model
+                case.vehicle, case.gains, lib.law_of(plan), cruise=case.scenario.cruise, model=case.model
             )
             lines += [choice.line(plan.case.vehicle.name), *_lines(campaign, files, worst), *warning]
             counts = campaign.summary.stopped
@@ -371,20 +338,13 @@ class CampaignOptions:
             brief += [f"warning: {line.strip(' :')}" for line in warning[:1]]
             good = good and campaign.summary.stopped["reached"].count == runs
         if out is not None:
-            import json
-
-            from surctl.cli.output import finite
-
             with saving("summary"):
-                write_file(out / "summary.json", json.dumps(finite({"campaigns": reports}), indent=1) + "\n")
+                lib.write_file(out / "summary.json", json.dumps(finite({"campaigns": reports}), indent=1) + "\n")
         finish({"campaigns": reports}, lines, as_json=as_json, passed=good, brief=brief,
                files=[] if out is None else [f"files {out}"])  # fmt: skip
 
 
-def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]:
-    from surctl.marine.control import BARRIER, law_source
-    from surctl.own_code import label
-
+def _report(campaign: lib.Campaign, files: list[Path], worst: int) -> dict[str, Any]:
     case, table = campaign.plan.case, campaign.table
     rows = [table.row(k) for k in table.worst(worst)]
     for row, file in zip(rows, files, strict=False):
@@ -393,45 +353,39 @@ def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]
         "campaign": campaign.plan.name,
         "scenario": case.scenario.name,
         "vehicle": case.vehicle.name,
-        "law": label(case.law),
+        "law": lib.label(case.law),
         **case.options,
         "gains": case.gains.name,
         "sampling": dict(campaign.plan.settings()),
         "number_of_runs": len(table),
     }
-    if BARRIER in law_source(case.law).parts:
+    if lib.BARRIER in lib.law_source(case.law).parts:
         head["claim"] = _claim(case).to_dict()
     few = {"runs": [table.row(k) for k in range(len(table))]} if len(table) <= MOST_ROWS else {}
     return {**head, **campaign.summary.to_dict(), "worst": rows, **few}
 
 
-def _claim(case: Case) -> SafetyClaim | Inapplicable:
+def _claim(case: lib.Case) -> lib.SafetyClaim | lib.Inapplicable:
     # for the unchanged scenario and the vehicle's parameter ranges
-    from surctl.marine.assessment import judged_contact
 
     kind: dict[str, Any] = {"sonar": case.sensing == "sonar", "barrier": case.barrier, "movers": case.movers}
-    return judged_contact(case.scenario, case.model or case.vehicle, case.gains, **kind)
+    return lib.judged_contact(case.scenario, case.model or case.vehicle, case.gains, **kind)
 
 
-def _head(campaign: Campaign) -> str:
-    from surctl.own_code import label
-
+def _head(campaign: lib.Campaign) -> str:
     case = campaign.plan.case
-    about = f"law {label(case.law)}, {case.sensing}, {len(campaign.table)} runs:"
+    about = f"law {lib.label(case.law)}, {case.sensing}, {len(campaign.table)} runs:"
     return f"{campaign.plan.name} by {case.vehicle.name}, {about}"
 
 
-def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
-    from surctl.marine.control import BARRIER, law_source
-    from surctl.verification import Inapplicable
-
+def _lines(campaign: lib.Campaign, files: list[Path], worst: int) -> list[str]:
     case, table = campaign.plan.case, campaign.table
     lines = [_head(campaign)]
-    claim = BARRIER in law_source(case.law).parts
+    claim = lib.BARRIER in lib.law_source(case.law).parts
     lines += campaign.summary.lines(claim=claim)
     if claim and campaign.summary.violated:
         stated = _claim(case)
-        text = stated.sentence if isinstance(stated, Inapplicable) else stated.statement
+        text = stated.sentence if isinstance(stated, lib.Inapplicable) else stated.statement
         lines.append(f"  the no-contact claim: {text}")
     for place, k in enumerate(table.worst(worst)):
         time, clear = table.column("time_s")[k], table.column("min_clearance_m")[k]
@@ -449,19 +403,13 @@ def simulate_again(path: Path, show: RunOutput, *, trust: bool, as_json: bool) -
 
     The exit status is 1 if the result differs from the campaign or if the run does not arrive.
     """
-    from surctl.marine.simulation.campaign.campaign import load_replay
-
-    context = click.get_current_context()
-    for one in context.command.params:
-        typed = context.get_parameter_source(one.name or "") != ParameterSource.DEFAULT
-        allowed = one.name in ("replayed", "trust", "explained", "out", "animate", "as_json")
-        if typed and one.expose_value and not allowed:
-            what = one.opts[0] if isinstance(one, click.Option) else "the scenarios"
-            remedy = f"drop {what}, or edit the file"
-            raise InputError(f"already sets {what}", key="--from", value=str(path), remedy=remedy)
+    for one in typed("replayed", "trust", "explained", "out", "animate"):
+        what = one.opts[0] if isinstance(one, click.Option) else "the scenarios"
+        remedy = f"drop {what}, or edit the file"
+        raise InputError(f"already sets {what}", key="--from", value=str(path), remedy=remedy)
     if show.out is not None:
         prepare_out(show.out)
-    replay = load_replay(path, trust=trust)
+    replay = lib.load_replay(path, trust=trust)
 
     def again() -> Iterator[Ran]:
         run = replay.run.simulate()

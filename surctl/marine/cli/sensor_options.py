@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import degrees, inf, isfinite
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
-from surctl.cli.options import option
+from surctl.cli.options import changed, option
 from surctl.errors import InputError, check_known, nearest
-
-if TYPE_CHECKING:
-    from surctl.marine.sensing import Fault, FaultChances, SonarArray
-    from surctl.marine.simulation import Scenario, ThrusterFault
-    from surctl.marine.simulation.sensors import Sensors
+from surctl.marine.cli import lib
 
 FORM = "KIND:SENSOR[:START[:DURATION]]"
 
@@ -25,7 +21,7 @@ _PARTS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class SensorOptions:
     """The sensor options of the command line; an option that is not given leaves the scenario's value unchanged.
 
@@ -43,25 +39,15 @@ class SensorOptions:
 
     def check(self, *, sensing: str) -> None:
         """Raise InputError for an option that has no effect on the runs, or for an unknown value."""
-        from surctl.marine.simulation import SENSING
-
-        check_known(sensing, SENSING, key="--sensing")
-        options = {
-            "--fault": self.faults,
-            "--chance": self.chances,
-            "--echoes": self.echoes,
-        }
-        for key, value in options.items():
-            if value is not None and value != () and sensing == "truth":
-                text = value if key == "--echoes" else " ".join(value)
-                remedy = "add --sensing sonar, or drop this option"
-                raise InputError("has no effect with true positions", key=key, value=text, remedy=remedy)
+        check_known(sensing, lib.SENSING, key="--sensing")
+        for key, value in changed(self).items() if sensing == "truth" else ():
+            text = value if key == "--echoes" else " ".join(value)
+            remedy = "add --sensing sonar, or drop this option"
+            raise InputError("has no effect with true positions", key=key, value=text, remedy=remedy)
         if self.echoes is not None:
-            from surctl.marine.simulation import ECHOES
+            check_known(self.echoes, lib.ECHOES, key="--echoes")
 
-            check_known(self.echoes, ECHOES, key="--echoes")
-
-    def over(self, scenario: Scenario) -> Scenario:
+    def over(self, scenario: lib.Scenario) -> lib.Scenario:
         """Return the scenario with these sensor options.
 
         Raises:
@@ -69,7 +55,7 @@ class SensorOptions:
         """
         return replace(scenario, sensors=self._sensors(scenario.sensors))
 
-    def _sensors(self, old: Sensors) -> Sensors:
+    def _sensors(self, old: lib.Sensors) -> lib.Sensors:
         if self.echoes is not None:
             old = old.hearing(self.echoes)
         array = old.equipment.array
@@ -78,20 +64,16 @@ class SensorOptions:
         return replace(old, faults=faults, chances=chances)
 
 
-def parse_fault(text: str) -> Fault:
+def parse_fault(text: str) -> lib.Fault:
     """Return the fault written as KIND:SENSOR[:START[:DURATION]], times in s; for a delay, KIND is `delay=SECONDS`.
 
     Raises:
         InputError: the kind is unknown, or a part is missing, superfluous, not a number or out of range.
     """
-    from surctl.files import validate
-    from surctl.marine.sensing import FAULT_KINDS
-    from surctl.marine.simulation.sensors import SonarTable
-
     head, *rest = text.split(":")
     kind, equals, delay = head.partition("=")
-    if kind not in FAULT_KINDS:
-        _refuse("is not a known fault", text, f"{nearest(kind, FAULT_KINDS)}; write {FORM}")
+    if kind not in lib.FAULT_KINDS:
+        _refuse("is not a known fault", text, f"{nearest(kind, lib.FAULT_KINDS)}; write {FORM}")
     if not 1 <= len(rest) <= 3:
         _refuse("names no sensor" if not rest else "has too many parts", text, f"write {FORM}")
     if kind == "delay" and not equals:
@@ -104,29 +86,27 @@ def parse_fault(text: str) -> Fault:
         _refuse(f"sensor {rest[0]!r} is not a whole number", text, _PARTS["sensor"][1])
     parts = dict(zip(("sensor", "start_s", "duration_s"), rest, strict=False)) | ({"delay_s": delay} if equals else {})
     try:
-        return validate({"faults": [{"kind": kind, **parts}]}, SonarTable, file=None).faults[0]
+        return lib.validate({"faults": [{"kind": kind, **parts}]}, lib.SonarTable, file=None).faults[0]
     except InputError as error:
         name = (error.key or "").rpartition(".")[2]
         which, remedy = _PARTS[name]
         _refuse(f"{which} {parts[name]!r} is not valid", text, remedy)
 
 
-def parse_chances(texts: Sequence[str]) -> FaultChances:
+def parse_chances(texts: Sequence[str]) -> lib.FaultChances:
     """Return the fault probabilities written as several texts KIND=P.
 
     Raises:
         InputError: a kind is unknown, does not occur at random or is given twice, P is not a number in [0, 1], or the
             probabilities add up to more than 1.
     """
-    from surctl.marine.sensing import FAULT_KINDS, FaultChances
-
     chances: dict[str, float] = {}
     for text in texts:
         kind, equals, number = text.partition("=")
-        if kind in FAULT_KINDS and kind not in FaultChances.kinds():
+        if kind in lib.FAULT_KINDS and kind not in lib.FaultChances.kinds():
             _refuse(f"{kind} does not occur at random", text, f"write --fault {kind}:SENSOR", key="--chance")
-        if kind not in FaultChances.kinds():
-            _refuse("is not a known fault", text, nearest(kind, FaultChances.kinds()), key="--chance")
+        if kind not in lib.FaultChances.kinds():
+            _refuse("is not a known fault", text, nearest(kind, lib.FaultChances.kinds()), key="--chance")
         if not equals:
             _refuse("has no probability", text, f"write {kind}=P", key="--chance")
         if kind in chances:
@@ -140,10 +120,10 @@ def parse_chances(texts: Sequence[str]) -> FaultChances:
         problem = f"the fault probabilities of one firing add up to {total:g}"
         remedy = "reduce them to a sum of at most 1, because at most one fault occurs"
         raise InputError(problem, key="--chance", value=" ".join(texts), remedy=remedy)
-    return FaultChances(**chances)
+    return lib.FaultChances(**chances)
 
 
-def sensor_data(scenario: Scenario) -> dict[str, Any]:
+def sensor_data(scenario: lib.Scenario) -> dict[str, Any]:
     """Return the sensor settings that the options may change, and the scenario's own reflectors, as plain data."""
     sensors = scenario.sensors
     own = {o.name: o.reflector for o in scenario.obstacles if o.reflector is not None}
@@ -159,23 +139,19 @@ def sensor_data(scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def _checked(array: SonarArray, text: str) -> Fault:
-    from surctl.marine.sensing.sonar.faults import check_faults
-
+def _checked(array: lib.SonarArray, text: str) -> lib.Fault:
     fault = parse_fault(text)
     try:
-        check_faults(array, [fault])
+        lib.check_faults(array, [fault])
     except InputError as error:
         _refuse(error.problem, text, error.remedy or "choose another fault")
     return fault
 
 
-def _possible(array: SonarArray, texts: Sequence[str]) -> FaultChances:
-    from surctl.marine.sensing.sonar.faults import check_faults
-
+def _possible(array: lib.SonarArray, texts: Sequence[str]) -> lib.FaultChances:
     chances = parse_chances(texts)
     try:
-        check_faults(array, [], chances)
+        lib.check_faults(array, [], chances)
     except InputError as error:
         _refuse(error.problem, " ".join(texts), error.remedy or "drop this option", key="--chance")
     return chances
@@ -196,7 +172,9 @@ THRUSTER_FORM = "thruster:NAME[:START[:DURATION]]"
 _KIND = "thruster:"
 
 
-def split_faults(texts: Sequence[str], *, refused: str | None = None) -> tuple[tuple[str, ...], list[ThrusterFault]]:
+def split_faults(
+    texts: Sequence[str], *, refused: str | None = None
+) -> tuple[tuple[str, ...], list[lib.ThrusterFault]]:
     """Return the texts of sensor faults, and the thruster faults.
 
     `refused` says why a command accepts no thruster faults; None: it accepts them.
@@ -210,14 +188,12 @@ def split_faults(texts: Sequence[str], *, refused: str | None = None) -> tuple[t
     return tuple(text for text in texts if text not in mine), [parse_thruster_fault(text) for text in mine]
 
 
-def parse_thruster_fault(text: str) -> ThrusterFault:
+def parse_thruster_fault(text: str) -> lib.ThrusterFault:
     """Return the fault written as thruster:NAME[:START[:DURATION]], times in s.
 
     Raises:
         InputError: a part is missing, superfluous, not a number or out of range.
     """
-    from surctl.marine.simulation import ThrusterFault
-
     name, *times = text.removeprefix(_KIND).split(":")
     numbers = [_float(part) for part in times]
     start = numbers[0] if numbers else 0.0
@@ -227,4 +203,4 @@ def parse_thruster_fault(text: str) -> ThrusterFault:
         raise InputError(
             "is not a thruster fault", key="--fault", value=text, remedy=f"write {THRUSTER_FORM}, times in s"
         )
-    return ThrusterFault(name, start, duration)
+    return lib.ThrusterFault(name, start, duration)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -13,14 +13,11 @@ from surctl.cli.options import FILE, options
 from surctl.cli.output import prepare_out
 from surctl.cli.simulate import Ran, check_save, conduct_runs
 from surctl.errors import InputError
+from surctl.marine.cli import lib
 from surctl.marine.cli.robot_options import TRUST, RobotOptions, choose_gains, choose_law, choose_vehicle
 from surctl.marine.cli.run_options import ControllerOptions, PlantOptions, check_animate
 from surctl.marine.cli.runs import CampaignOptions, RunOutput, series_lines, simulate_again
 from surctl.marine.cli.sensor_options import SensorOptions, sensor_data, split_faults
-
-if TYPE_CHECKING:
-    from surctl.marine.control import Law
-    from surctl.marine.simulation import Case
 
 
 @click.command
@@ -65,19 +62,14 @@ def simulate(
     apart = replace(campaign, threads=None) if engine is not None else campaign
     apart.check(scenarios=words, explained=show.explained, out=out)
     _check_fallback(robot.fallback, mode=robot.priority_mode, explained=show.explained, campaign=campaign.any)
-    from surctl.files import prepare_folder
-    from surctl.marine.control import law_source, load_gains
-    from surctl.marine.simulation import load_scenario
-    from surctl.marine.vehicle import load_vehicle
-
     _check_save(show, campaign=campaign.any)
     if out is not None:
-        (prepare_folder if campaign.any else prepare_out)(out)
-    names = [load_scenario(name).vehicle for name in words] if robot.vehicle is None else [robot.vehicle]
-    law, above = choose_law(robot.law, [load_vehicle(name) for name in names])
-    own = law_source(law).gains
+        (lib.prepare_folder if campaign.any else prepare_out)(out)
+    names = [lib.load_scenario(name).vehicle for name in words] if robot.vehicle is None else [robot.vehicle]
+    law, above = choose_law(robot.law, [lib.load_vehicle(name) for name in names])
+    own = lib.law_source(law).gains
     if robot.gains is not None:
-        load_gains(robot.gains, own=own)  # reports a mistake before anything is built
+        lib.load_gains(robot.gains, own=own)  # reports a mistake before anything is built
     alone = "simulate without --monte-carlo and --random-worlds" if campaign.any else None
     faults, broken = split_faults(sensors.faults, refused=alone)
     sensors = replace(sensors, faults=faults)
@@ -85,9 +77,9 @@ def simulate(
     if campaign.any:
         plans = campaign.plans(words, robot, sensors, law=law)
         campaign.run(plans, above, vehicle=robot.vehicle, out=out, as_json=as_json)
-    missions = [sensors.over(load_scenario(name)) for name in words]
+    missions = [sensors.over(lib.load_scenario(name)) for name in words]
     choices = [choose_vehicle(robot.vehicle, (scenario.name, scenario.vehicle)) for scenario in missions]
-    vehicles = [load_vehicle(choice.word) for choice in choices]
+    vehicles = [lib.load_vehicle(choice.word) for choice in choices]
     physics.fit(engine, vehicles)
     speeds = [scenario.cruise for scenario in missions]
     tuned = [choose_gains(robot.gains, v, cruise=u, own=own) for v, u in zip(vehicles, speeds, strict=True)]
@@ -95,7 +87,7 @@ def simulate(
     # built after the other checks, because it takes a second
     laws, gone = [case.build(robot.fallback) for case in cases], list[str]()
 
-    def simulated(case: Case, built: Law, common: dict[str, Any]) -> Iterator[Ran]:
+    def simulated(case: lib.Case, built: lib.Law, common: dict[str, Any]) -> Iterator[Ran]:
         with link.opened(case, built) as linked:
             for run, report in physics.runs(
                 engine, case, built, range(seed, seed + runs), fallback=robot.fallback, faults=tuple(broken),
@@ -123,9 +115,7 @@ def simulate(
 def _check_fallback(fallback: str, *, mode: str, explained: bool, campaign: bool) -> None:
     if fallback == "exact":
         return
-    from surctl.priority import check_fallback
-
-    check_fallback(fallback, mode=mode)
+    lib.check_fallback(fallback, mode=mode)
     if campaign:
         raise InputError("applies only to single runs", key="--fallback", value=fallback, remedy="drop --monte-carlo")
     if explained:
@@ -133,16 +123,13 @@ def _check_fallback(fallback: str, *, mode: str, explained: bool, campaign: bool
 
 
 def _check_save(show: RunOutput, *, campaign: bool) -> None:
-    from surctl.marine.simulation import RUN_FORMATS
-    from surctl.marine.vehicle.motion_log import check_frame
-
     save, frame = show.save, show.frame
     if frame is not None:
-        check_frame(frame, key="--frame")
+        lib.check_frame(frame, key="--frame")
         if save is None:
             raise InputError("needs --save", key="--frame", value=frame, remedy="add --save csv, mat, nc or mcap")
     if save is not None and campaign:
         raise InputError("cannot be combined with a campaign", key="--save", remedy="use the campaign's file runs.csv")
-    check_save(save, RUN_FORMATS, out=show.out)
+    check_save(save, lib.RUN_FORMATS, out=show.out)
     if save == "mcap" and frame == "ned":
         raise InputError("is not a frame of Foxglove", key="--frame", value=frame, remedy="use enu for mcap")

@@ -6,21 +6,18 @@ import math
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from surctl.cli.options import option, options
 from surctl.cli.output import progress, refusal_line, saving
 from surctl.cli.study import conduct_study
+from surctl.marine.cli import lib
 from surctl.marine.cli.claims import claim_line
 from surctl.marine.cli.robot_options import SPEEDS, TRUST, at_hand, derive_words, law_words, margin_of_all
 
-if TYPE_CHECKING:
-    from surctl.assessment import Assessment
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Options:
     """What is studied; None: as the study file, or the built-in study, has it."""
 
@@ -61,30 +58,18 @@ def study(words: tuple[str, ...], out: Path, workers: int, options: _Options, as
     """
     if len(words) > 1:
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
-    from surctl.ir.cache import find_compiler
-
-    find_compiler()  # before the imports and the plan, which take seconds
-    from surctl.marine.study import Study, load_plan
-
-    file, vehicle, gains, cruise, film = (
-        words[0] if words else None,
-        options.vehicle,
-        options.gains,
-        options.cruise,
-        options.film,
-    )
+    lib.find_compiler()  # before the imports and the plan, which take seconds
+    file, vehicle, gains, cruise = words[0] if words else None, options.vehicle, options.gains, options.cruise
     chosen = [f"--vehicle {vehicle}"] if vehicle else [file] if file else []
     chosen += [f"--gains {gains}"] if gains else []
     chosen += [f"--cruise {','.join(f'{speed:g}' for speed in cruise)}"] if cruise else []
-    command = " ".join(["surctl study", *chosen, f"--out {out}", *["--film"] * film])
-    plan = load_plan(file, vehicle=vehicle, trust=options.trust)
+    command = " ".join(["surctl study", *chosen, f"--out {out}", *["--film"] * options.film])
+    plan = lib.load_plan(file, vehicle=vehicle, trust=options.trust)
     plan = plan if gains is None else plan.with_gains(gains)
     plan = plan if cruise is None else plan.at_speeds(cruise, key="--cruise")
-    if film:
-        from surctl.marine.engine.pictures import check_pictures
-
-        check_pictures()
-    study = Study(plan=plan, workers=workers, progress=progress, command=command, film=film, saving=saving)
+    if options.film:
+        lib.check_pictures()
+    study = lib.Study(plan=plan, workers=workers, progress=progress, command=command, film=options.film, saving=saving)
 
     def below() -> list[str]:
         margins, data = study.analysis.margins, study.data
@@ -105,7 +90,7 @@ def study(words: tuple[str, ...], out: Path, workers: int, options: _Options, as
     conduct_study(study, out, above=above, below=below, then=then, as_json=as_json)
 
 
-def changes(assessment: Assessment, vehicle: str, cruise: float | None) -> list[str]:
+def changes(assessment: lib.Assessment, vehicle: str, cruise: float | None) -> list[str]:
     """Return the command that derives gains with the gain `margin` that is missing; nothing if none is.
 
     `cruise` is the speed [m/s] for which the assessed gains were derived, or None.
@@ -116,7 +101,7 @@ def changes(assessment: Assessment, vehicle: str, cruise: float | None) -> list[
     return [derive_words(vehicle, cruise, "gains.toml", margin=margin)]
 
 
-def tunable(assessment: Assessment) -> bool:
+def tunable(assessment: lib.Assessment) -> bool:
     """Return whether a search of gains can change the result: a no-contact margin is stated, not searched."""
     contact = assessment.parts.get("no contact")
     left = [line for line in assessment.lines if line.counts and line.passed is not True]
@@ -125,9 +110,7 @@ def tunable(assessment: Assessment) -> bool:
 
 def _examined(law: str, about: list[str]) -> list[str]:
     """Return the command that checks the gains: `verify`, or `simulate` if no analysis is about the law."""
-    from surctl.marine.control import law_source
-
     _, scenario, *others = about
     simulated = ["surctl", "simulate", scenario, *others, *law_words(law)]
-    source = law_source(law)
+    source = lib.law_source(law)
     return ["surctl", "verify", *about] if source.parts or source.steering is not None else simulated

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.options import collected, only, option, options
+from surctl.cli.options import collected, option, options
 from surctl.cli.sweep import SweepJob, SweepOptions, SweepSummary, point_rows
 from surctl.errors import InputError, check_known
+from surctl.marine.cli import lib
 from surctl.marine.cli.robot_options import (
     SPEEDS,
     RobotOptions,
@@ -29,10 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from surctl.marine.control import Gains
-    from surctl.marine.simulation import Case
-    from surctl.system import LinearLoop
-    from surctl.tuning import SobolIndices, SweepTable
 
 _LOCUS = 401  # number of parameter values at which poles are computed
 _PRINTED = (  # columns of the text output
@@ -42,7 +39,7 @@ _PRINTED = (  # columns of the text output
 _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed below the points: their names are alike
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class SweptMissions:
     """The options about the missions of a sweep, besides those of `RobotOptions`."""
 
@@ -64,7 +61,7 @@ class SweptMissions:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Robot(RobotOptions):
     gains: str | None = option(
         "--gains", "Gain set for the gains not swept (default: built-in for the vehicle, else derived).", metavar="FILE"
@@ -77,9 +74,12 @@ class _Robot(RobotOptions):
     )
 
 
+_OF_ROBOT = ("gains", "law", "guidance", "priority_mode", "sensing")
+
+
 @click.command
 @click.argument("words", nargs=-1, metavar="")
-@options(missions=SweptMissions, robot=only(_Robot, "gains", "law", "guidance", "priority_mode", "sensing"))
+@options(missions=SweptMissions, robot=_Robot, only={"robot": _OF_ROBOT})
 @collected(options=SweepOptions)
 def sweep(
     words: Sequence[str], options: SweepOptions, missions: SweptMissions, robot: RobotOptions, **_: Any
@@ -98,41 +98,36 @@ def sweep(
     surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;
     surctl sweep my_system.py:build k=1..8:20:log plant.m=1..2 --seeds 100 --seconds 5
     """
-    from surctl.marine.control import law_source, load_gains
-    from surctl.marine.report.goals import COLUMN_TITLES, SHOWN
-    from surctl.marine.simulation import load_scenario
-    from surctl.marine.tuning import MissionSweep, build_cases
-    from surctl.marine.tuning.sweep import check_column
-    from surctl.marine.vehicle import load_vehicle
-    from surctl.tuning import make_design, parse_axis, saltelli
-
-    parsed = [parse_axis(text) for text in words]
+    parsed = [lib.parse_axis(text) for text in words]
     locus, vehicles = missions.locus, missions.vehicles
     if options.sensitivity is None:
-        chosen = make_design(options.design, parsed, count=options.points)
+        chosen = lib.make_design(options.design, parsed, count=options.points)
     else:
-        check_column(options.sensitivity)
-        chosen = saltelli(parsed, base=64 if options.points is None else options.points)
+        lib.check_column(options.sensitivity)
+        chosen = lib.saltelli(parsed, base=64 if options.points is None else options.points)
     if locus is not None:
         check_known(locus, chosen.names, "is not an axis of this sweep", key="--locus")
         if len(set(chosen.points[:, chosen.names.index(locus)])) < 2:
             raise InputError("has one value", key=locus, remedy="give a range")
-    scenarios, robots = [load_scenario(name) for name in missions.scenarios], [load_vehicle(name) for name in vehicles]
-    law, why = choose_law(robot.law, robots or [load_vehicle(scenario.vehicle) for scenario in scenarios])
-    own = law_source(law).gains
-    base, sensing = load_gains(robot.gains or "default", own=own), str(robot.sensing)
+    scenarios = [lib.load_scenario(name) for name in missions.scenarios]
+    robots = [lib.load_vehicle(name) for name in vehicles]
+    law, why = choose_law(robot.law, robots or [lib.load_vehicle(scenario.vehicle) for scenario in scenarios])
+    own = lib.law_source(law).gains
+    base, sensing = lib.load_gains(robot.gains or "default", own=own), str(robot.sensing)
     kind = {"law": law, "mode": robot.priority_mode, "sensing": sensing, "guidance": robot.guidance}
-    cases = build_cases(scenarios, robots, gains=base, **kind)
+    cases = lib.build_cases(scenarios, robots, gains=base, **kind)
     tuned = choose_shared(robot.gains, [(case.vehicle, case.scenario.cruise) for case in cases], own=own)
     cases = tuple(replace(case, gains=tuned.gains) for case in cases)
     if locus is not None:  # report a mistake before the simulations, not after them
         _locus(cases, tuned.gains, locus, chosen.points[:, chosen.names.index(locus)], {})
-    subject = MissionSweep(cases, tuple(range(options.seeds)), cruise=tuple(missions.cruise or ()))
+    subject = lib.MissionSweep(cases, tuple(range(options.seeds)), cruise=tuple(missions.cruise or ()))
     option = next(iter(vehicles), None)
     choices = [(choose_vehicle(option, (c.scenario.name, c.scenario.vehicle)), c.vehicle.name) for c in cases]
     head = [*why, *dict.fromkeys(choice.line(name) for choice, name in choices), *tuned.lines]
     summary = partial(_mission_summary, cases, law, sensing, locus, head)
-    return SweepJob(subject, chosen, len(chosen.points), "points", "sweep.nc", SHOWN, ["score"], COLUMN_TITLES, summary)
+    return SweepJob(
+        subject, chosen, len(chosen.points), "points", "sweep.nc", lib.SHOWN, ["score"], lib.COLUMN_TITLES, summary
+    )
 
 
 def _set_aside(gains: Path) -> list[str]:
@@ -143,38 +138,33 @@ def _set_aside(gains: Path) -> list[str]:
 
 
 def _mission_summary(
-    cases: Sequence[Case],
+    cases: Sequence[lib.Case],
     law: str,
     sensing: str,
     locus: str | None,
     head: Sequence[str],
-    table: SweepTable,
-    sobol: SobolIndices | None,
+    table: lib.SweepTable,
+    sobol: lib.SobolIndices | None,
     out: Path,
     as_json: bool,
 ) -> SweepSummary:
-    from surctl.assessment import assess
-    from surctl.files import write_file
-    from surctl.marine.assessment import missions_of
-    from surctl.marine.control import law_source, write_gains
-    from surctl.marine.simulation import METRICS
-    from surctl.marine.tuning import picked_gains
-    from surctl.report import plot_locus
-
-    picked, gains, file = table.picked, picked_gains(table), out / "gains.toml"
+    picked, gains, file = table.picked, lib.picked_gains(table), out / "gains.toml"
     moved = _set_aside(file) if picked is None else []
-    files = {} if picked is None else {"gains": write_file(file, write_gains(gains))}
-    assessments = [] if picked is None else [assess(m, parts=["loop", "no contact"]) for m in missions_of(cases, gains)]
+    files = {} if picked is None else {"gains": lib.write_file(file, lib.write_gains(gains))}
+    judged = () if picked is None else lib.missions_of(cases, gains)
+    assessments = [lib.assess(mission, parts=["loop", "no contact"]) for mission in judged]
     verdicts = [f"{one.subject} {one.verdict()}" for one in assessments]
     where = "No point is feasible, so no gain file was written." if picked is None else gains.provenance
     lines = [*head, *(point_rows(table, _PRINTED) if sobol is None else sobol.lines())]
-    lines += [f"  {name}: {METRICS[name].meaning}" for name in _EXPLAINED if sobol is None and name in table.columns]
+    lines += [
+        f"  {name}: {lib.METRICS[name].meaning}" for name in _EXPLAINED if sobol is None and name in table.columns
+    ]
     for one, verdict in zip(assessments, verdicts, strict=True):
         lines += ["", verdict, *one.decisive]
     about = shlex.join(at_hand(cases[0].scenario, cases[0].vehicle, str(files.get("gains"))))
     # the claims of `verify` are about parts of the built-in laws
     exported = f"surctl export {about} {shlex.join(law_words(law))} --sensing {sensing}"
-    then = [f"surctl verify {about}" if law_source(law).parts else exported] if picked is not None else []
+    then = [f"surctl verify {about}" if lib.law_source(law).parts else exported] if picked is not None else []
     feasible, best = table.column("feasible") > 0.5, {} if picked is None else table.at(picked)
     values = "; the best has " * bool(best) + ", ".join(f"{name} = {value:.4g}" for name, value in best.items())
     brief = [f"{feasible.sum()} of {feasible.size} points are feasible{values}"]
@@ -194,7 +184,7 @@ def _mission_summary(
     def locus_plot() -> Axes:
         [axis] = (axis for axis in table.axes if axis.name == locus)
         values, loops = _locus(cases, gains, axis.name, axis.values, best)
-        return plot_locus(loops, values, axis.name, unit=axis.unit, picked=best.get(axis.name))
+        return lib.plot_locus(loops, values, axis.name, unit=axis.unit, picked=best.get(axis.name))
 
     return SweepSummary(
         [*lines, "", where, *moved], brief, data,
@@ -205,17 +195,14 @@ def _mission_summary(
 
 
 def _locus(
-    cases: Sequence[Case], gains: Gains, parameter: str, swept: NDArray[np.float64], at: Mapping[str, float]
-) -> tuple[NDArray[np.float64], list[LinearLoop]]:
+    cases: Sequence[lib.Case], gains: lib.Gains, parameter: str, swept: NDArray[np.float64], at: Mapping[str, float]
+) -> tuple[NDArray[np.float64], list[lib.LinearLoop]]:
     # values, and loops of the first vehicle at its largest cruise speed, about the point `at`
     import numpy as np
 
-    from surctl.marine.verification import sweep_locus
-    from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
-
     first = cases[0]
     values = np.union1d(np.linspace(swept.min(), swept.max(), _LOCUS), [at[parameter]] if parameter in at else [])
-    return values, sweep_locus(
+    return values, lib.sweep_locus(
         first.vehicle,
         gains.values,
         parameter,
@@ -224,5 +211,5 @@ def _locus(
         dt=first.build().dt,
         model=first.model,
         about=at,
-        law=first.law if has_cruise_loop(first.law, "los") else TRACKING_LAW,
+        law=first.law if lib.has_cruise_loop(first.law, "los") else lib.TRACKING_LAW,
     )

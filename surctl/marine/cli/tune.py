@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -14,21 +14,11 @@ from surctl.cli.options import Count, collected, option, options
 from surctl.cli.output import progress
 from surctl.cli.tune import More, Task, TuneOptions
 from surctl.errors import InputError, NotApplicable
+from surctl.marine.cli import lib
 from surctl.marine.cli.robot_options import SPEEDS, TRUST, at_hand, export_command, law_words
 
-if TYPE_CHECKING:
-    from surctl.assessment import Assessment, Figure, Part
-    from surctl.marine.control import Gains
-    from surctl.marine.report.bench import Bench
-    from surctl.marine.simulation import Case, Scenario
-    from surctl.marine.study import Plan
-    from surctl.marine.tuning import Goal, Request
-    from surctl.marine.vehicle import Vehicle
-    from surctl.tuning import Tuning
-    from surctl.tuning.outcome import Finals, Miss
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class TunedMissions:
     """The options about the missions of a study; None: the study's own.
 
@@ -61,7 +51,7 @@ class TunedMissions:
 @click.argument("words", nargs=-1, metavar="[STUDY")
 @options(missions=TunedMissions)
 @collected(options=TuneOptions)
-def tune(words: Sequence[str], options: TuneOptions, missions: TunedMissions, **_: Any) -> Task | Bench:
+def tune(words: Sequence[str], options: TuneOptions, missions: TunedMissions, **_: Any) -> Task | lib.Bench:
     """Search for gains that meet goals, test the gains in random runs, and search again with the runs that fail.
 
     The gains must meet the hard goals in every scenario, for every seed and at every corner of the parameter ranges of
@@ -85,9 +75,7 @@ def tune(words: Sequence[str], options: TuneOptions, missions: TunedMissions, **
             f"--scenario selects the scenario of --page; to tune over chosen scenarios, {own}: surctl tune STUDY.toml"
         )
         raise click.UsageError(text)
-    from surctl.ir.cache import find_compiler
-
-    find_compiler()  # thousands of runs: without compiled code, hours
+    lib.find_compiler()  # thousands of runs: without compiled code, hours
     return _tuned(mission_plan(file, missions, options.out), options, missions)
 
 
@@ -99,35 +87,27 @@ def _printed(lines: list[str]) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class _Missions(Task):
-    request: Request
-    plan: Plan
-    unjudged: Sequence[Goal]
+    request: lib.Request
+    plan: lib.Plan
+    unjudged: Sequence[lib.Goal]
     derived: list[str]
     omitted: list[str]
 
     @property
-    def cases(self) -> Sequence[Case]:
+    def cases(self) -> Sequence[lib.Case]:
         return self.request.cases
 
     def assessed(
-        self, gains: Mapping[str, float], parts: Collection[str] | None, computed: Mapping[str, Part] | None
-    ) -> Assessment:
-        from surctl.assessment import assess
-        from surctl.marine.study.conduct import assessed
+        self, gains: Mapping[str, float], parts: Collection[str] | None, computed: Mapping[str, lib.Part] | None
+    ) -> lib.Assessment:
 
         plan = replace(self.plan, guidance=self.cases[0].guidance)
-        return assess(assessed(plan, plan.gains.with_values(dict(gains))), parts=parts, computed=computed)
+        return lib.assess(lib.assessed(plan, plan.gains.with_values(dict(gains))), parts=parts, computed=computed)
 
-    def gain_file(self, tuning: Tuning, out: Path, warning: str) -> tuple[Path, str]:
-        from surctl.marine.control import write_gains
-        from surctl.marine.tuning import tuned_gains
+    def gain_file(self, tuning: lib.Tuning, out: Path, warning: str) -> tuple[Path, str]:
+        return out / "gains.toml", lib.write_gains(lib.tuned_gains(tuning), warning=warning)
 
-        return out / "gains.toml", write_gains(tuned_gains(tuning), warning=warning)
-
-    def more(self, tuning: Tuning, checked: Finals, gains: str, trials: int) -> More:
-        from surctl.marine.control import default_law
-        from surctl.marine.tuning import tuned_gains
-
+    def more(self, tuning: lib.Tuning, checked: lib.Finals, gains: str, trials: int) -> More:
         plan, case = self.plan, self.cases[0]
         unjudged = [goal.name for goal in (*self.unjudged, *checked.undetermined)]
         late = [f"goal {g.name} is not judged: the assessment has no {g.metric}" for g in checked.undetermined]
@@ -137,10 +117,10 @@ class _Missions(Task):
         floor = floor_lines(tuning, checked, plan, trials=trials)
         mission, robot = case.scenario, case.vehicle
         about = at_hand(mission, robot, gains)
-        region = region_words(plan.law, mission, robot, tuned_gains(tuning))
+        region = region_words(plan.law, mission, robot, lib.tuned_gains(tuning))
         # a region claim needs only the speeds; with --scenario, the safety claim would also affect the exit status
         speeds = ["--cruise", f"{mission.cruise:g}", "--cap", f"{mission.cap:g}"]
-        chosen = [] if plan.law == default_law(robot) else law_words(plan.law)
+        chosen = [] if plan.law == lib.default_law(robot) else law_words(plan.law)
         proofs = ["--out", str(Path(gains).parent / "proofs")]
         arguments = [*region, *(speeds if region else about[:2]), *about[2:], *chosen, *proofs]
         shipped = export_command(about[1], about[3], gains, law=plan.law, guidance=case.guidance, sensing="truth")
@@ -149,47 +129,35 @@ class _Missions(Task):
         then = [shlex.join(["surctl", "verify", *arguments]), *shipped]
         return More(data, then, floor, notes, over)
 
-    def pictures(self, tuning: Tuning, out: Path) -> list[Path]:
-        from surctl.marine.report.files import save_tuning
+    def pictures(self, tuning: lib.Tuning, out: Path) -> list[Path]:
+        return lib.save_tuning(tuning, out)
 
-        return save_tuning(tuning, out)
-
-    def look(self, missed: Sequence[Miss], gains: str) -> list[str]:
+    def look(self, missed: Sequence[lib.Miss], gains: str) -> list[str]:
         options = [*law_words(self.plan.law), "--guidance", self.cases[0].guidance, "--sensing", "truth"]
         return look(missed, gains, options)  # as in the tuning
 
 
-def mission_plan(file: str | None, missions: TunedMissions, out: Path) -> Plan:
+def mission_plan(file: str | None, missions: TunedMissions, out: Path) -> lib.Plan:
     """Return the study whose missions are tuned, with the options of the command line in place of its own values."""
-    from surctl.files import prepare_folder
-    from surctl.marine.study import load_plan
-    from surctl.marine.vehicle import load_vehicle
-
-    plan = load_plan(file, trust=missions.trust)
+    plan = lib.load_plan(file, trust=missions.trust)
     plan = plan if missions.law is None else plan.with_law(missions.law)
     plan = plan if missions.gains_file is None else plan.with_gains(missions.gains_file)
-    plan = plan.by([load_vehicle(vehicle) for vehicle in missions.vehicles]) if missions.vehicles else plan
+    plan = plan.by([lib.load_vehicle(vehicle) for vehicle in missions.vehicles]) if missions.vehicles else plan
     if all(leg.scenario.source for leg in plan.legs):
         return plan
-    prepare_folder(out)  # the commands that are printed at the end name the file of a mission
+    lib.prepare_folder(out)  # the commands that are printed at the end name the file of a mission
     return plan.written(out / "missions")
 
 
-def _tuned(plan: Plan, options: TuneOptions, missions: TunedMissions) -> Task:
+def _tuned(plan: lib.Plan, options: TuneOptions, missions: TunedMissions) -> Task:
     """Return the tuning of the missions of a study.
 
     Raises:
         InputError: a goal does not fit the missions, or a gain is unknown.
     """
-    from surctl.marine.tuning import Request, build_cases, conditions, gain_ranges, load_goals
-    from surctl.marine.tuning.evaluation import check_goals, judged_goals
-    from surctl.marine.tuning.goals import goals_at, with_floor
-    from surctl.marine.tuning.request import default_tuned
-    from surctl.own_code import label
-
     goals_file, cruise = options.goals_file, missions.cruise or ()
     file = goals_file or plan.source
-    stated = plan.goals if goals_file is None else load_goals(goals_file)
+    stated = plan.goals if goals_file is None else lib.load_goals(goals_file)
     if cruise and not any(goal.linear for goal in stated):
         remedy = "add one, on disk_margin say, or leave the option out"
         raise InputError("no goal is about the linear loop", key="--cruise", value=list(cruise), remedy=remedy)
@@ -198,43 +166,45 @@ def _tuned(plan: Plan, options: TuneOptions, missions: TunedMissions) -> Task:
     _printed(omitted)
     check_goal_cases(stated, plan, file)
     kind = {"law": plan.law, "guidance": plan.guidance if missions.guidance is None else missions.guidance}
-    cases = [build_cases([leg.scenario], [leg.vehicle], gains=plan.gains, **kind)[0] for leg in plan.deciding]
-    every = with_floor(stated)
+    cases = [lib.build_cases([leg.scenario], [leg.vehicle], gains=plan.gains, **kind)[0] for leg in plan.deciding]
+    every = lib.with_floor(stated)
     for goal in every[len(stated) :]:
         progress(f"added goal {goal.name}: {goal.sense} {goal.limit:g}; a goal on {goal.metric} replaces it")
-    goals, finals, unjudged = judged_goals(goals_at(every, cruise or plan.cruise), cases)
+    goals, finals, unjudged = lib.judged_goals(lib.goals_at(every, cruise or plan.cruise), cases)
     own = [goal.name for goal in stated]
-    if set(plan.goals) <= set(load_goals()) and goals_file is None:
+    if set(plan.goals) <= set(lib.load_goals()) and goals_file is None:
         own = []
     default = [goal for goal in (*finals, *unjudged) if goal.name not in own]
     mine = [goal.name for goal in unjudged if goal.kind == "hard" and goal not in default]
     if mine:
-        problem = f"is hard, but surctl has no linear model of law {label(plan.law)}"
+        problem = f"is hard, but surctl has no linear model of law {lib.label(plan.law)}"
         remedy = 'write type = "margins" in place of metric, or drop it'
         raise InputError(problem, file=file, key=f"goals.{mine[0]}", remedy=remedy)
-    model = f"tune has no linear model of law {label(plan.law)}"
+    model = f"tune has no linear model of law {lib.label(plan.law)}"
     omitted += _printed([f"goal {goal.name} is not judged: {model}" for goal in unjudged])
     if finals:
         names = ", ".join(goal.name for goal in finals)
-        progress(f"checked at the end on the best gain sets (at most {Request.checked}), not in the search: {names}")
+        progress(
+            f"checked at the end on the best gain sets (at most {lib.Request.checked}), not in the search: {names}"
+        )
     if not goals:
         problem = "has only goals on figures that the search does not compute"
         raise InputError(problem, file=file, key="goals", remedy="add a goal on a metric of the runs, time_s say")
-    runs = conditions(cases, seeds=range(missions.seeds))
+    runs = lib.conditions(cases, seeds=range(missions.seeds))
     try:
-        check_goals(goals, runs)
+        lib.check_goals(goals, runs)
     except InputError as error:
         if error.value in cruise:
             raise InputError(error.problem, key="--cruise", value=error.value, remedy=error.remedy) from None
         raise error.inside(file) from None
-    space = gain_ranges(plan.gains, options.ranges or default_tuned(plan.gains))
-    request = Request(goals, runs, plan.gains, space, seed=options.seed, threads=options.workers)
+    space = lib.gain_ranges(plan.gains, options.ranges or lib.default_tuned(plan.gains))
+    request = lib.Request(goals, runs, plan.gains, space, seed=options.seed, threads=options.workers)
     remedy = 'ask it of runs, such as metric = "time_s" or "deviation_m"'
     limit = {"command": "a thrust", "run": "{}", "remedy": remedy}
     return _Missions(request, finals, default, limit, 2000, plan, unjudged, derived, omitted)
 
 
-def check_goal_cases(goals: Sequence[Goal], plan: Plan, file: str) -> None:
+def check_goal_cases(goals: Sequence[lib.Goal], plan: lib.Plan, file: str) -> None:
     """Raise InputError if a goal names a scenario in which the vehicle does not fit."""
     deciding = {leg.scenario.name for leg in plan.deciding}
     omitted = {leg.scenario.name: leg.left_out for leg in plan.left_out if leg.scenario.name not in deciding}
@@ -246,23 +216,21 @@ def check_goal_cases(goals: Sequence[Goal], plan: Plan, file: str) -> None:
                 raise InputError(f"is left out: {omitted[name]}", file=file, key=key, value=name, remedy=remedy)
 
 
-def caps(cases: Sequence[Case], gains: Mapping[str, float]) -> list[str]:
+def caps(cases: Sequence[lib.Case], gains: Mapping[str, float]) -> list[str]:
     """Return one line for each vehicle whose speed limit exceeds the largest speed with a stable linear loop."""
-    from surctl.marine.verification.corners import corners
-    from surctl.marine.verification.cruise_loop import has_cruise_loop
-    from surctl.marine.verification.linear import bearable_speed, cap_above
-
-    distinct = {(c.vehicle.name, c.scenario.cap): c for c in cases if has_cruise_loop(c.law, c.guidance)}
+    distinct = {(c.vehicle.name, c.scenario.cap): c for c in cases if lib.has_cruise_loop(c.law, c.guidance)}
     texts = (
-        cap_above(
-            c.vehicle, bearable_speed(corners(c.vehicle).alone, gains, dt=c.build().dt, law=c.law), cap=c.scenario.cap
+        lib.cap_above(
+            c.vehicle,
+            lib.bearable_speed(lib.corners(c.vehicle).alone, gains, dt=c.build().dt, law=c.law),
+            cap=c.scenario.cap,
         )
         for c in distinct.values()
     )
     return [f"warning: {line}" for line in texts if line is not None]
 
 
-def floor_lines(tuning: Tuning, finals: Finals, plan: Plan, *, trials: int) -> list[str]:
+def floor_lines(tuning: lib.Tuning, finals: lib.Finals, plan: lib.Plan, *, trials: int) -> list[str]:
     """Return why the tuned gains miss a least margin at the worst corner; nothing if they have both."""
     after = finals.comparison.after
     known = [after.figures[name] for name in ("disk_margin", "delay_margin_s") if name in after.figures]
@@ -271,9 +239,7 @@ def floor_lines(tuning: Tuning, finals: Finals, plan: Plan, *, trials: int) -> l
     return [*heads, *(f"  {_why(plan, after, figure)}" for figure in missed[:1])]
 
 
-def _missed(figure: Figure, tuning: Tuning, finals: Finals, *, trials: int) -> str:
-    from surctl.verification.linear import short_margin
-
+def _missed(figure: lib.Figure, tuning: lib.Tuning, finals: lib.Finals, *, trials: int) -> str:
     names = [goal.name for goal in (*tuning.request.goals, *finals.goals) if goal.metric == figure.name]
     clash = tuning.conflict
     if any(goal.name in names for goal in finals.goals):
@@ -284,22 +250,19 @@ def _missed(figure: Figure, tuning: Tuning, finals: Finals, *, trials: int) -> s
     else:
         limits = ", ".join(f"{g.limit:g}" for g in tuning.request.goals if g.name in names)
         outcome = f"the goals ask for {limits or 'none'}"
-    return f"{short_margin(figure.unit, figure.least or 0.0, figure.value, f'at {figure.where}')}: {outcome}"
+    return f"{lib.short_margin(figure.unit, figure.least or 0.0, figure.value, f'at {figure.where}')}: {outcome}"
 
 
-def _why(plan: Plan, after: Assessment, missed: Figure) -> str:
+def _why(plan: lib.Plan, after: lib.Assessment, missed: lib.Figure) -> str:
     """Return what limits the margin: of gains that follow from the vehicle, or of the corners."""
-    from surctl.marine.control import default_law
-    from surctl.marine.tuning import derive_gains
-
     nominal, least = after.figures[f"nominal_{missed.name}"].value, missed.least
-    if plan.law != default_law(plan.vehicle):
+    if plan.law != lib.default_law(plan.vehicle):
         if least is not None and nominal >= least:
             return f"the nominal vehicle has {nominal:.3g}: narrower ranges in the vehicle file raise it"
         return f"the nominal vehicle has {nominal:.3g}: lower the cruise speed, or tune further gains with --gain"
     cruise = max(leg.scenario.cruise for leg in plan.deciding)
     try:
-        derivation = derive_gains(plan.vehicle, cruise=cruise)
+        derivation = lib.derive_gains(plan.vehicle, cruise=cruise)
     except InputError as error:
         return f"gains cannot be derived: {error.problem}"
     if derivation.reached:
@@ -309,7 +272,7 @@ def _why(plan: Plan, after: Assessment, missed: Figure) -> str:
     return derivation.warning.removeprefix("warning: ")
 
 
-def look(missed: Sequence[Miss], gains: str, law: Sequence[str]) -> list[str]:
+def look(missed: Sequence[lib.Miss], gains: str, law: Sequence[str]) -> list[str]:
     """Return the command that repeats the worst run of a missed goal, with the nominal vehicle parameters."""
     runs = [miss.nominal for miss in missed if miss.nominal is not None and miss.ending is not None]
     if not runs:
@@ -318,45 +281,34 @@ def look(missed: Sequence[Miss], gains: str, law: Sequence[str]) -> list[str]:
     return [shlex.join(["surctl", "simulate", mission, *about, *law, "--seed", str(runs[0].seed), "--explain"])]
 
 
-def region_words(law: str, scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[str]:
+def region_words(law: str, scenario: lib.Scenario, vehicle: lib.Vehicle, gains: lib.Gains) -> list[str]:
     """Return the region claim to suggest next."""
-    from surctl.marine.verification.region import applicable_region
-
     names = ("region-cruise-20", "region-steered-20")
-    claim = applicable_region(names, vehicle, gains, law=law, cruise=scenario.cruise, cap=scenario.cap)
+    claim = lib.applicable_region(names, vehicle, gains, law=law, cruise=scenario.cruise, cap=scenario.cap)
     return [] if isinstance(claim, NotApplicable) else [claim.name]
 
 
-def _bench(study: str | None, goals: str | None, options: TunedMissions) -> Bench:
+def _bench(study: str | None, goals: str | None, options: TunedMissions) -> lib.Bench:
     """Return what the page of a law of the robot shows; options that are None take the study's values."""
-    from surctl.marine.control import law_ref, load_gains
-    from surctl.marine.report.bench import Bench
-    from surctl.marine.simulation import findings, load_scenario
-    from surctl.marine.study import load_plan
-    from surctl.marine.tuning import load_goals
-    from surctl.marine.tuning.goals import goals_at
-    from surctl.marine.vehicle import load_vehicle
-    from surctl.marine.verification.speeds import check_held
-
     vehicles, scenario = options.vehicles, options.scenario
-    plan = load_plan(study, trust=options.trust)
+    plan = lib.load_plan(study, trust=options.trust)
     if vehicles:
-        plan = plan.by([load_vehicle(vehicles[0])])
+        plan = plan.by([lib.load_vehicle(vehicles[0])])
     first = plan.deciding[0]
-    mission = first.scenario if scenario is None else load_scenario(scenario)
+    mission = first.scenario if scenario is None else lib.load_scenario(scenario)
     own = {leg.scenario.name: leg.vehicle for leg in plan.legs}
-    vehicle = load_vehicle(vehicles[0]) if vehicles else own.get(mission.name) or load_vehicle(mission.vehicle)
-    for finding in findings(mission, vehicle):
+    vehicle = lib.load_vehicle(vehicles[0]) if vehicles else own.get(mission.name) or lib.load_vehicle(mission.vehicle)
+    for finding in lib.findings(mission, vehicle):
         if finding.level == "error":
             progress(f"{mission.name} by {vehicle.name}: {finding.text}")
     start, cruise = options.gains_file, options.cruise or plan.cruise
-    gains = plan.gains if start is None else load_gains(start)
-    chosen = goals_at(plan.goals if goals is None else load_goals(goals), cruise)
-    check_held(options.cruise or (), vehicle, cap=mission.cap, key="--cruise")
-    reference = plan.law if options.law is None else law_ref(options.law, key="--law")
-    others = tuple(load_vehicle(name) for name in vehicles[1:])
+    gains = plan.gains if start is None else lib.load_gains(start)
+    chosen = lib.goals_at(plan.goals if goals is None else lib.load_goals(goals), cruise)
+    lib.check_held(options.cruise or (), vehicle, cap=mission.cap, key="--cruise")
+    reference = plan.law if options.law is None else lib.law_ref(options.law, key="--law")
+    others = tuple(lib.load_vehicle(name) for name in vehicles[1:])
     named = (vehicles[0] if vehicles else "", scenario or "")
-    bench = Bench(vehicle, mission, gains, chosen, tuple(cruise), reference, others, named)
+    bench = lib.Bench(vehicle, mission, gains, chosen, tuple(cruise), reference, others, named)
     progress("compiling the closed loop; the next start uses the compiled file")
     values = {one.name: one.value for one in bench.sliders}
     bench.simulate(values)

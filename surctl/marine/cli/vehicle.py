@@ -6,16 +6,15 @@ import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from surctl.cli.new import path_of, write_new
 from surctl.cli.options import FILE, FiniteRange, option, options, out_folder
 from surctl.cli.output import as_json, finish, saving
 from surctl.errors import InputError
-
-if TYPE_CHECKING:
-    from surctl.marine.vehicle import Identified, MotionLog, Prediction, Vehicle
+from surctl.marine.cli import lib
 
 _FASTEST, _LARGEST = 100.0, 1e9  # [m/s], [N, N m]
 
@@ -51,45 +50,39 @@ def thrusters(
     Examples: surctl vehicle thrusters bluerov2-heavy --out pictures; surctl vehicle thrusters bluerov2-heavy --failed
     T2 --force 40 30 0 5
     """
-    from surctl.marine.allocation import allocate, working_flags
-    from surctl.marine.simulation.fit import held_share, thruster_findings
-    from surctl.marine.vehicle import load_vehicle
-    from surctl.marine.vehicle.specs import AXES
-    from surctl.marine.vehicle.thruster_file import axis_ends
-
     if not 0 <= speed <= _FASTEST:
         problem = f"must be at least 0 and at most {_FASTEST:g}"
         raise InputError(problem, key="--speed", value=speed, remedy="give a forward speed in m/s")
     if wrench is not None and not max(map(abs, wrench)) <= _LARGEST:
         problem = f"must be finite and at most {_LARGEST:g} in size"
         raise InputError(problem, key="--force", value=list(wrench), remedy="give F_u, F_v, F_w in N and F_r in N m")
-    vehicle = load_vehicle(name).at_speed(speed)
+    vehicle = lib.load_vehicle(name).at_speed(speed)
     actuators = vehicle.actuators
     if actuators is None:
         remedy = "add [[thruster]] tables, as in surctl list --show bluerov2-heavy"
         raise InputError("describes no thrusters", file=vehicle.source, remedy=remedy)
-    working_flags(actuators, failed)
-    intervals, share = axis_ends(actuators, speed, failed=failed), held_share(vehicle, failed)
+    lib.working_flags(actuators, failed)
+    intervals, share = lib.axis_ends(actuators, speed, failed=failed), lib.held_share(vehicle, failed)
     result = {
         "vehicle": vehicle.name,
         "order": list(actuators.order),
         "failed": list(failed),
         "speed_m_per_s": speed,
-        "intervals": {axis: ends.tolist() for axis, ends in zip(AXES[:4], intervals, strict=True)},
+        "intervals": {axis: ends.tolist() for axis, ends in zip(lib.AXES[:4], intervals, strict=True)},
         "box_share": share,
-        "findings": [finding.to_dict() for finding in thruster_findings(vehicle)],
+        "findings": [finding.to_dict() for finding in lib.thruster_findings(vehicle)],
     }
     lines = [f"{vehicle.name}: {len(actuators.thrusters)} thrusters, order {', '.join(actuators.order)}"]
     lines += [f"  {line}" for line in actuators.lines()]
     at = f" that have thrust at rest, at {speed:g} m/s" if actuators.fins else ""
     lost = f", without {', '.join(failed)}" if failed else ""
     lines.append(f"largest values on each axis, with 0 on the others{at}{lost}")
-    for axis, (low, high), unit in zip(AXES[:4], intervals.tolist(), ("N", "N", "N", "N m"), strict=True):
+    for axis, (low, high), unit in zip(lib.AXES[:4], intervals.tolist(), ("N", "N", "N", "N m"), strict=True):
         lines.append(f"  {axis:<6} {low:>8.2f} to {high:>7.2f} {unit}")
     limits = ", ".join(f"{key} {vehicle[key]:g}" for key in ("Fu_max", "Fv_max", "Fw_max", "Fr_max"))
     lines.append(f"at once in every combination: {share:.3g} times the limits {limits}")
     if wrench is not None:
-        allocation = allocate(actuators, wrench, failed=failed, speed=speed)
+        allocation = lib.allocate(actuators, wrench, failed=failed, speed=speed)
         result["allocation"] = {
             "achieved": allocation.achieved.tolist(),
             "forces": dict(zip(actuators.names, allocation.forces.tolist(), strict=True)),
@@ -106,11 +99,8 @@ def thrusters(
         lines.append(f"  not controlled: roll {allocation.roll:.3g} N m, pitch {allocation.pitch:.3g} N m")
     if out is not None:
         with saving("plot"):
-            from surctl.marine.report import plot_attainable
-            from surctl.report.theme import save_figure
-
             named = (vehicle.name, "thrusters", *(f"without-{name}" for name in failed))
-            result["file"] = str(save_figure(plot_attainable(vehicle, failed=failed), out, named))
+            result["file"] = str(lib.save_figure(lib.plot_attainable(vehicle, failed=failed), out, named))
             lines.append(f"wrote {result['file']}")
     finish(result, lines, as_json=as_json, passed=True)
 
@@ -121,13 +111,11 @@ class _Measured(click.ParamType):  # type: ignore[type-arg]  # generic since cli
         self.unit, self.name = unit, unit
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        from surctl.units import in_unit, number_and_unit
-
         if isinstance(value, float):
             return value
         try:
-            number, unit = number_and_unit(str(value))
-            return in_unit(number, unit or self.unit, self.unit)
+            number, unit = lib.number_and_unit(str(value))
+            return lib.in_unit(number, unit or self.unit, self.unit)
         except InputError as error:
             key = param.opts[0] if param is not None else None
             raise InputError(error.problem, key=key, value=value, remedy=error.remedy) from None
@@ -192,9 +180,7 @@ def from_geometry(mass: float, cd: float, out: Path | None, force: bool, as_json
     Example: surctl vehicle from-geometry --name mine --diameter "40 cm" --mass "6 kg" --thrust 0.5kgf
     --yaw-thrust "0.4 N m"
     """
-    from surctl.marine.vehicle import sphere
-
-    robot = sphere(dry_mass=mass, drag_coefficient=cd, **numbers)
+    robot = lib.sphere(dry_mass=mass, drag_coefficient=cd, **numbers)
     _write(robot, out, force, _parameter_lines(robot), _summary(robot), as_json=as_json)
 
 
@@ -226,13 +212,11 @@ def from_gazebo(
 
     Example: surctl vehicle from-gazebo model.sdf --name auv --diameter 0.5 --thrust 40 --yaw-thrust 6
     """
-    from surctl.marine.vehicle.gazebo import gazebo_vehicle
-
-    robot = gazebo_vehicle(model, name, radius=diameter / 2, **numbers)
+    robot = lib.gazebo_vehicle(model, name, radius=diameter / 2, **numbers)
     _write(robot, out, force, _parameter_lines(robot), _summary(robot), as_json=as_json)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Fitting:
     """How logs are read, fitted and predicted."""
 
@@ -302,28 +286,21 @@ def from_log(
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
     """
-    from surctl.marine.vehicle import identify, load_vehicle
-    from surctl.marine.vehicle.identification.identify import held_out_windows
-    from surctl.marine.vehicle.logs.read import read_recording, topic_lines
-    from surctl.marine.vehicle.motion_log import in_sequence
-
     share, picture, map_file = fitting.share, fitting.picture, fitting.map_file
     if fitting.topics:
-        from surctl.marine.vehicle.logs.joining import load_log_map
-
         if len(logs) > 1:
             raise click.UsageError("--topics takes one log")
-        named = load_log_map(map_file) if map_file else None
-        recording = read_recording(logs[0], log_map=named, map_name=str(map_file or ""))
+        named = lib.load_log_map(map_file) if map_file else None
+        recording = lib.read_recording(logs[0], log_map=named, map_name=str(map_file or ""))
         fields = {topic: list(held.fields) for topic, held in recording.topics.items()}
-        lines = [*topic_lines(recording), *(f"  note: {note}" for note in recording.notes)]
+        lines = [*lib.topic_lines(recording), *(f"  note: {note}" for note in recording.notes)]
         finish({"topics": fields, "notes": list(recording.notes)}, lines, as_json=as_json, passed=True)
     if picture is not None and share == 0:
         raise click.UsageError("--picture needs a prediction: --held-out above 0")
-    robot = load_vehicle(fitting.start)
-    measured = in_sequence([_read_log(log, map_file, fitting.frame) for log in logs])
-    fit = identify(measured, robot, name=name)
-    predictions = held_out_windows(measured, robot, fitting.windows, share=share) if share > 0 else ()
+    robot = lib.load_vehicle(fitting.start)
+    measured = lib.in_sequence([_read_log(log, map_file, fitting.frame) for log in logs])
+    fit = lib.identify(measured, robot, name=name)
+    predictions = lib.held_out_windows(measured, robot, fitting.windows, share=share) if share > 0 else ()
     windowed = [
         {"window_s": p.window, "windows": p.windows, "model": p.model, "last_velocity_held": p.hold}
         for p in predictions
@@ -355,14 +332,11 @@ def from_log(
 
     def plot() -> None:
         with saving("plot"):
-            from surctl.marine.report import plot_prediction
-            from surctl.report.theme import save_figure
-
             if not predictions or picture is None:
                 raise InputError("needs a prediction", key="--picture", remedy="give a longer log")
             title = f"{name}, fitted to the first {1 - share:.0%} of {', '.join(log.name for log in logs)}"
-            figure = plot_prediction(predictions[0], title=title)
-            lines.append(f"picture {save_figure(figure, picture.parent, (picture.stem,))}")
+            figure = lib.plot_prediction(predictions[0], title=title)
+            lines.append(f"picture {lib.save_figure(figure, picture.parent, (picture.stem,))}")
 
     draw = plot if picture else lambda: None
     if fit.refusal:
@@ -373,30 +347,27 @@ def from_log(
     _write(fit.vehicle, out, force, lines, result, as_json=as_json, plot=draw)
 
 
-def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
-    from surctl.marine.vehicle.logs.read import FORMATS, read_mapped_log
-    from surctl.marine.vehicle.motion_log import read_motion_log
-
+def _read_log(log: Path, map_file: Path | None, frame: str | None) -> lib.MotionLog:
     if map_file is not None:
         if frame is not None:
             raise InputError(
                 "cannot be combined with a map, which states the frame", file=map_file, key="--frame", value=frame,
                 remedy="write log.frame in the map, and omit --frame",
             )  # fmt: skip
-        return read_mapped_log(log, map_file)
-    if log.is_dir() or log.suffix.lower() in FORMATS:
+        return lib.read_mapped_log(log, map_file)
+    if log.is_dir() or log.suffix.lower() in lib.FORMATS:
         raise InputError(
             "needs a map", file=log, remedy="see surctl vehicle from-log LOG --topics, then give --map FILE"
         )
-    return read_motion_log(log, frame=frame)
+    return lib.read_motion_log(log, frame=frame)
 
 
-def _fit_lines(fit: Identified) -> list[str]:
-    from surctl.marine.vehicle.identification.model import LONGEST
-
+def _fit_lines(fit: lib.Identified) -> list[str]:
     lines = [f"{fit.vehicle.name}: {fit.vehicle.note}"]
     if fit.sections > 1:
-        lines.append(f"  {fit.sections} sections without a gap, of at most {LONGEST:g} s each, each with its own start")
+        lines.append(
+            f"  {fit.sections} sections without a gap, of at most {lib.LONGEST:g} s each, each with its own start"
+        )
     lines.append(f"  {'':<10} {'estimate':>9}   95 % interval   {'in file':>8} {'start':>8}")
     for key, (value, half) in fit.estimates.items():
         unit = fit.unit(key)
@@ -407,7 +378,7 @@ def _fit_lines(fit: Identified) -> list[str]:
     return lines + [f"  note: {note}" for note in fit.notes]
 
 
-def _kind(fit: Identified, key: str) -> str:
+def _kind(fit: lib.Identified, key: str) -> str:
     if key in fit.zeroed:
         return "fixed at 0"
     if key in fit.drifting:
@@ -415,7 +386,7 @@ def _kind(fit: Identified, key: str) -> str:
     return "not determined" if key in fit.held else "with those held"
 
 
-def _prediction_lines(predictions: tuple[Prediction, ...], share: float) -> list[str]:
+def _prediction_lines(predictions: tuple[lib.Prediction, ...], share: float) -> list[str]:
     if not predictions:
         return ["  no held-out prediction: the log is too short"] if share > 0 else []
     lines = []
@@ -432,7 +403,7 @@ def _prediction_lines(predictions: tuple[Prediction, ...], share: float) -> list
     return lines
 
 
-def _parameter_lines(robot: Vehicle) -> list[str]:
+def _parameter_lines(robot: lib.Vehicle) -> list[str]:
     lines = [f"{robot.name}: {robot.note}"]
     for key, p in robot.parameters.items():
         bounds = "" if p.range is None else f"  {p.range[0]:.4g} to {p.range[1]:.4g}"
@@ -440,22 +411,19 @@ def _parameter_lines(robot: Vehicle) -> list[str]:
     return lines
 
 
-def _summary(robot: Vehicle) -> dict[str, Any]:
+def _summary(robot: lib.Vehicle) -> dict[str, Any]:
     return {"vehicle": robot.name, "parameters": _numbers(robot)}
 
 
-def _numbers(robot: Vehicle) -> dict[str, Any]:
+def _numbers(robot: lib.Vehicle) -> dict[str, Any]:
     return {k: {"value": p.value, "unit": p.unit, "range": p.range} for k, p in robot.parameters.items()}
 
 
 def _write(
-    robot: Vehicle, out: Path | None, force: bool, lines: list[str], result: dict[str, Any], *, as_json: bool,
+    robot: lib.Vehicle, out: Path | None, force: bool, lines: list[str], result: dict[str, Any], *, as_json: bool,
     plot: Callable[[], None] = lambda: None,
 ) -> None:  # fmt: skip
-    from surctl.cli.new import path_of, write_new
-    from surctl.marine.vehicle import write_vehicle
-
-    target = write_new(out or path_of(robot.name, ".toml"), write_vehicle(robot), force=force)
+    target = write_new(out or path_of(robot.name, ".toml"), lib.write_vehicle(robot), force=force)
     plot()
     shown = shlex.quote(str(target))
     then = [f"surctl lint {shown}", f"surctl tune --vehicle {shown} --out tuned"]

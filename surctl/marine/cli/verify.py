@@ -12,22 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.options import FiniteRange, only, option, options
+from surctl.cli.options import FiniteRange, option, options
 from surctl.cli.output import finish, prepare_out, progress, refusal_line, saving
 from surctl.cli.verify import Claimed, decide_claims, failed_lines, next_check, refused
 from surctl.errors import InputError
-from surctl.marine.cli.claims import (
-    braking_claims,
-    decide_claim,
-    is_braking,
-    is_mission,
-    is_region,
-    library_claims,
-    mission_claims,
-    region_claims,
-    region_of,
-    require_own_speeds,
-)
+from surctl.marine.cli import claims, lib
 from surctl.marine.cli.linear_part import LinearPart, linear_part, over_speeds, speed_lines
 from surctl.marine.cli.robot_options import (
     MISSION,
@@ -46,9 +35,6 @@ from surctl.marine.cli.robot_options import (
 if TYPE_CHECKING:
     from surctl.cli.verify import Decided
     from surctl.marine.cli.robot_options import GainsChoice, VehicleChoice
-    from surctl.marine.control import Gains
-    from surctl.marine.vehicle import Vehicle
-    from surctl.verification import Claim, Inapplicable, Verdict
 
 _SHORT = 20.0  # s
 _MOST_CLAIMS = 3  # in a summary; more are counted
@@ -56,7 +42,7 @@ _GAIN_FILE = "gains.toml"  # in the printed commands, if the gains are derived
 _SPEED = FiniteRange(min=0, max=100, min_open=True)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Robot(RobotOptions):
     vehicle: str | None = option(
         "--vehicle", "Vehicle (default: that of --scenario, else sur540-flooded).", metavar="FILE"
@@ -67,7 +53,7 @@ class _Robot(RobotOptions):
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Stated:
     """What claims and margins are about, besides the robot; None: see the help."""
 
@@ -90,9 +76,12 @@ class _Stated:
     show: bool = option("--show", "Print claims as claim files, and check no claim.", False)
 
 
+_OF_ROBOT = ("vehicle", "gains", "law", "sensing", "barrier", "movers")
+
+
 @click.command
 @click.argument("words", nargs=-1, metavar="[CLAIM | FILE.toml")
-@options(robot=only(_Robot, "vehicle", "gains", "law", "sensing", "barrier", "movers"), stated=_Stated)
+@options(robot=_Robot, stated=_Stated, only={"robot": _OF_ROBOT})
 def verify(
     words: tuple[str, ...],
     robot: RobotOptions,
@@ -121,68 +110,60 @@ def verify(
 
     Examples: surctl verify --out proofs; surctl verify region-cruise-20 claim.toml; surctl verify loop.py:build k=2
     """
-    from surctl.assessment import assess
-    from surctl.marine.assessment import Mission
-    from surctl.marine.control import PATH_FOLLOWING, law_source
-    from surctl.marine.simulation import load_scenario
-    from surctl.marine.vehicle import load_vehicle
-    from surctl.marine.verification.braking_claims import NOT_RESTED_ON
-    from surctl.marine.verification.speeds import check_held
-    from surctl.own_code import label
-    from surctl.verification import Inapplicable
-
     # claims of one's own alone concern no vehicle, so nothing is said of one
     law, gains, scenario = robot.law, robot.gains, stated.scenario
     cruise, cap, uncertainty = stated.cruise, stated.cap, stated.uncertainty
     named_things = (robot.vehicle, gains, cruise, cap, scenario, law, robot.sensing)
     alone = bool(words) and all(map(_is_claim_file, words)) and all(word is None for word in named_things)
-    mission = None if scenario is None else load_scenario(scenario)
+    mission = None if scenario is None else lib.load_scenario(scenario)
     choice = choose_vehicle(robot.vehicle, None if mission is None else (mission.name, mission.vehicle))
-    word, vehicle = choice.word, load_vehicle(choice.word)
+    word, vehicle = choice.word, lib.load_vehicle(choice.word)
     fastest = None if cruise is None else max(cruise)
     speeds = _speeds(fastest, cap, scenario)
     chosen_law, about_law = choose_law(law, [vehicle])
-    source, sensed = law_source(chosen_law), choose_sensing(robot.sensing, chosen_law)
+    source, sensed = lib.law_source(chosen_law), choose_sensing(robot.sensing, chosen_law)
     tuned = choose_gains(gains, vehicle, cruise=speeds[0], own=source.gains)
     values = tuned.gains.values
     # a gain of a law of one's own may have the name of a number in a claim
     at_hand = {n: v for n, v in values.items() if n not in source.gains} | {"speed": speeds[0], "speed_max": speeds[1]}
-    about = None if law is None or PATH_FOLLOWING in source.parts else label(chosen_law)
-    kinds: dict[Any, list[str]] = {is_region: [], is_mission: [], is_braking: [], None: []}
+    about = None if law is None or lib.PATH_FOLLOWING in source.parts else lib.label(chosen_law)
+    kinds: dict[Any, list[str]] = {claims.is_region: [], claims.is_mission: [], claims.is_braking: [], None: []}
     for one in words:
         kinds[next((kind for kind in kinds if kind is not None and kind(one)), None)].append(one)
     regions, missions, braking, named = kinds.values()
-    chosen, left_out = library_claims(named, at_hand, vehicle, law=about) if named or not words else ([], [])
+    chosen, left_out = claims.library_claims(named, at_hand, vehicle, law=about) if named or not words else ([], [])
     if stated.show:
         _show(chosen, regions, [*missions, *braking], left_out, as_json=as_json)
-    check_held(cruise or (), vehicle, cap=speeds[1], key="--cruise")
+    lib.check_held(cruise or (), vehicle, cap=speeds[1], key="--cruise")
     if out is not None:
         prepare_out(out)
-    require_own_speeds(regions, fastest, cap)
+    claims.require_own_speeds(regions, fastest, cap)
     check_barrier(robot.barrier, robot.movers)
     scenarios = () if mission is None else (replace(mission, cruise=speeds[0], cap=speeds[1]),)
     judging: dict[str, Any] = {"barrier": robot.barrier, "movers": robot.movers, "sensing": sensed}
     judging |= {"uncertainty": uncertainty or None, "scenarios": scenarios}
-    whole = Mission(vehicle, tuned.gains, *speeds, chosen_law, **judging)
-    of_regions, instead = region_claims(regions, whole, seed=seed, out=out)
-    of_missions = mission_claims(missions, mission, whole, seed=seed, out=out)
-    of_braking = braking_claims(braking, whole, out=out)
+    whole = lib.Mission(vehicle, tuned.gains, *speeds, chosen_law, **judging)
+    of_regions, instead = claims.region_claims(regions, whole, seed=seed, out=out)
+    of_missions = claims.mission_claims(missions, mission, whole, seed=seed, out=out)
+    of_braking = claims.braking_claims(braking, whole, out=out)
     limit = time_limit or _SHORT
-    claims = [
-        *(Claimed(c.name, partial(decide_claim, c, seed=seed, time_limit=limit, out=out)) for c in chosen),
+    every = [
+        *(Claimed(c.name, partial(claims.decide_claim, c, seed=seed, time_limit=limit, out=out)) for c in chosen),
         *(refused(one, counts=bool(named)) for one in left_out),
         *of_regions, *of_missions, *of_braking,
     ]  # fmt: skip
-    cascaded = PATH_FOLLOWING in source.parts
+    cascaded = lib.PATH_FOLLOWING in source.parts
     subjects = [] if alone else [replace(whole, cruise=u) for u in cruise or speeds[:1]]
     # the speeds but the largest concern the loop alone
-    assessed = [assess(one, parts=["loop"] if one is not subjects[-1] else ["loop", "no contact"]) for one in subjects]
+    assessed = [
+        lib.assess(one, parts=["loop"] if one is not subjects[-1] else ["loop", "no contact"]) for one in subjects
+    ]
     parts = [linear_part(*each) for each in zip(assessed, subjects, strict=True)]
     linear = over_speeds(parts) if parts else LinearPart([], {}, None, speeds[0])
     judged = [line for one in assessed for line in one.lines if line.about]
     contacts = assessed[-1].sources.get("no contact") if assessed else None
     safety = contacts[0] if contacts and cascaded else None
-    done = decide_claims(claims, "for the other claims: surctl verify CLAIM", out=out, as_json=as_json)
+    done = decide_claims(every, "for the other claims: surctl verify CLAIM", out=out, as_json=as_json)
     verdicts = [one.proof for one in done[: len(chosen)]]
     lines = [line for one in done for line in one.lines]
     result: dict[str, Any] = {"vehicle": vehicle.name, "vehicle_from": choice.origin}
@@ -207,10 +188,10 @@ def verify(
         result["pictures"] = _draw(done, verdicts, vehicle, tuned.gains, out, cruise=margins_at, law=chosen_law)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
     if safety is not None:
-        judges = not isinstance(safety, Inapplicable)
+        judges = not isinstance(safety, lib.Inapplicable)
         lines += safety.lines() if judges else [f"no contact: {safety.sentence}"]
         lost = [v.claim.name for v in verdicts if v.verdict == "refuted" and judges and safety.holds]
-        beside = [f"no contact does not rest on {n}: {NOT_RESTED_ON[n]}" for n in lost if n in NOT_RESTED_ON]
+        beside = [f"no contact does not rest on {n}: {lib.NOT_RESTED_ON[n]}" for n in lost if n in lib.NOT_RESTED_ON]
         lines += beside
         result["safety"] = safety.to_dict()
     failing = [line.text for line in judged if line.rank == 0]
@@ -220,9 +201,7 @@ def verify(
     if not then or out is not None:
         then += _after(linear, choice, tuned, gains, scenario, certificates, law=chosen_law, sensing=sensed)
     if linear.short and cascaded:  # gains that have the margins at this speed, or else at a lower one
-        from surctl.marine.tuning import derive_gains
-
-        derived = derive_gains(vehicle, cruise=speeds[0])
+        derived = lib.derive_gains(vehicle, cruise=speeds[0])
         reached = speeds[0] if derived.reached else derived.bearable
         then[:0] = [derive_words(word, reached, _GAIN_FILE)] if reached > 0 else []
     elif tuned.derived and math.isfinite(short := margin_short(safety)):
@@ -250,15 +229,12 @@ def verify(
 
 
 def _show(
-    chosen: Sequence[Claim], regions: Sequence[str], others: Sequence[str], left_out: Sequence[Inapplicable],
+    chosen: Sequence[lib.Claim], regions: Sequence[str], others: Sequence[str], left_out: Sequence[lib.Inapplicable],
     *, as_json: bool,
 ) -> None:  # fmt: skip
     """Print claims as claim files, and end the command."""
-    from surctl.marine.verification.region import write_region
-    from surctl.verification.claim_file import write_claim
-
-    texts = {claim.name: write_claim(claim) for claim in chosen}
-    texts |= {word: write_region(region_of(word)) for word in regions}
+    texts = {claim.name: lib.write_claim(claim) for claim in chosen}
+    texts |= {word: lib.write_region(claims.region_of(word)) for word in regions}
     if others:
         remedy = "drop it; the claim is fixed by its vehicle, law and scenario"
         raise InputError("has no claim file", key="claim", value=others[0], remedy=remedy)
@@ -271,11 +247,10 @@ def _after(
     certificates: Sequence[Path], *, law: str, sensing: str,
 ) -> list[str]:  # fmt: skip
     """Return the commands that write the gains and export the law, if its loop is stable with its margins."""
-    from surctl.marine.control import PATH_FOLLOWING, law_source
-
     if not linear.stable or linear.short:
         return []
-    file, cascaded = gains or (_GAIN_FILE if tuned.derived else "default"), PATH_FOLLOWING in law_source(law).parts
+    file = gains or (_GAIN_FILE if tuned.derived else "default")
+    cascaded = lib.PATH_FOLLOWING in lib.law_source(law).parts
     exported = export_command(
         scenario, choice.word, tuned.gains, certificates if cascaded else (), file=file, law=law,
         sensing=sensing if cascaded else "truth",
@@ -284,9 +259,7 @@ def _after(
 
 
 def _is_claim_file(word: str) -> bool:
-    from surctl.files import read_toml
-
-    return word.endswith(".toml") and Path(word).is_file() and read_toml(Path(word)).get("kind") == "claim"
+    return word.endswith(".toml") and Path(word).is_file() and lib.read_toml(Path(word)).get("kind") == "claim"
 
 
 def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tuple[float, float]:
@@ -295,9 +268,7 @@ def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tu
     The default speed limit is that of the scenario. If the cruise speed exceeds this limit, the limit is multiplied by
     (cruise speed)/(cruise speed of the scenario).
     """
-    from surctl.marine.simulation import load_scenario
-
-    mission = load_scenario(MISSION if scenario is None else scenario)
+    mission = lib.load_scenario(MISSION if scenario is None else scenario)
     speed = mission.cruise if cruise is None else cruise
     if cap is None:
         cap = mission.cap if mission.cap >= speed else round(speed * mission.cap / mission.cruise, 9)
@@ -309,9 +280,9 @@ def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tu
 
 def _draw(
     done: Sequence[Decided],
-    verdicts: Sequence[Verdict],
-    vehicle: Vehicle,
-    gains: Gains,
+    verdicts: Sequence[lib.Verdict],
+    vehicle: lib.Vehicle,
+    gains: lib.Gains,
     out: Path,
     *,
     cruise: Sequence[float] | None,
@@ -320,18 +291,13 @@ def _draw(
     progress("pictures")
     pictures = list[Path]()
     with saving("plots"):
-        from surctl.marine.report import plot_mission, plot_region
-        from surctl.marine.report.files import save_margins, save_verdicts
-        from surctl.marine.simulation import vehicle_law
-        from surctl.report.theme import save_figure
-
-        pictures += save_verdicts(verdicts, out)
+        pictures += lib.save_verdicts(verdicts, out)
         for one in done[len(verdicts) :]:
             document = one.data["certificate"]
             if document and document["kind"] != "braking":
                 tube = document["kind"] == "mission"
-                plot = plot_mission(document) if tube else plot_region(document)
-                pictures.append(save_figure(plot, out, (one.data["claim"], "tube" if tube else "levels")))
+                plot = lib.plot_mission(document) if tube else lib.plot_region(document)
+                pictures.append(lib.save_figure(plot, out, (one.data["claim"], "tube" if tube else "levels")))
         if cruise is not None:
-            pictures += save_margins(vehicle_law(vehicle, law), vehicle, gains, out, cruise=cruise)
+            pictures += lib.save_margins(lib.vehicle_law(vehicle, law), vehicle, gains, out, cruise=cruise)
     return [str(path) for path in pictures]

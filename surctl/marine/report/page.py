@@ -14,7 +14,7 @@ from surctl.marine.report.sections import (
 )
 from surctl.report.document import Cell, Paragraph, Section, Table
 from surctl.report.evidence import claim_words
-from surctl.report.study_page import StudyPage, figures_table
+from surctl.report.study_page import figures_table, study_page
 from surctl.report.theme import interval, number
 from surctl.verification import Claim, Inapplicable, Verdict
 
@@ -138,7 +138,7 @@ def render_page(data: ReportData, *, runs: Section | None = None) -> str:
         evidence.append(claims_section(data))
     if data.runs:
         evidence.append(runs or runs_section(data))
-    return StudyPage(
+    return study_page(
         title=data.title,
         about=_subject(data),
         command=data.command,
@@ -149,7 +149,7 @@ def render_page(data: ReportData, *, runs: Section | None = None) -> str:
         export=data.export,
         seconds=data.seconds,
         numbers=[vehicle_section(data), gains_section(data)],
-    ).render()
+    )
 
 
 def _subject(data: ReportData) -> str:
