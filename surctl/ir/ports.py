@@ -51,8 +51,8 @@ class Port:
             remedy = "write (n,) for a vector, (rows, columns) for a matrix"
             raise InputError("is not a shape", key=f"{key}.shape", value=self.shape, remedy=remedy)
         default: object = self.default
-        if isinstance(default, list | tuple) and np.shape(default) == (self.size,):
-            default = np.array(default)
+        if isinstance(default, list | tuple) and len(default) == self.size and all(map(is_number, default)):
+            default = np.array(default, dtype=float)
             object.__setattr__(self, "default", default)
         entries = default.tolist() if isinstance(default, np.ndarray) and default.shape == (self.size,) else [default]
         if not all(map(is_number, entries)):
