@@ -1,4 +1,4 @@
-"""Read recordings: CSV (any line end, also with `sep=,` or no header), .mat, netCDF; XML; errors name file and line."""
+"""Read recordings: CSV (any line end, `sep=,`, no header), .mat, netCDF; XML; largest size of a file, no devices."""
 
 from __future__ import annotations
 

@@ -7,7 +7,8 @@ exactly 0 is (t − t0)^j times a second function, whose sign is known if its ra
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import operator
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -24,7 +25,10 @@ __all__ = ["same_sign"]
 _ORDER = 6
 _PIECES = 600
 _SIZE = 1500  # memory of a series [bytes]
-_UNARY = ("acos", "asin", "atan", "cos", "exp", "log", "sin", "sqrt", "tan")
+_OPERATIONS: Mapping[str, Callable[..., arb_series]] = {
+    "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv, "neg": operator.neg,
+    **{op: getattr(arb_series, op) for op in ("acos", "asin", "atan", "cos", "exp", "log", "sin", "sqrt", "tan")},
+}  # fmt: skip
 
 
 def same_sign(table: ExpressionTable, roots: Sequence[int], ends: Interval) -> bool:
@@ -108,25 +112,14 @@ def _step(op: str, value: Fraction, args: list[arb_series], point: arb) -> arb_s
             return _constant(arb.pi())
         case "var":
             return arb_series([point, 1], prec=_ORDER + 1)
-        case "add":
-            return args[0] + args[1]
-        case "sub":
-            return args[0] - args[1]
-        case "neg":
-            return -args[0]
-        case "mul":
-            return args[0] * args[1]
-        case "div":
-            return args[0] / args[1]
         case "pow":
             power = math.prod([args[0]] * abs(value.numerator), start=_constant(arb(1)))
             return power if value >= 0 else _constant(arb(1)) / power
         case "tanh":
             return _constant(arb(1)) - _constant(arb(2)) / ((args[0] + args[0]).exp() + _constant(arb(1)))
-    if op not in _UNARY:
+    if op not in _OPERATIONS:
         raise Rejected(f"a fact may not use the operation {op!r}")
-    result: arb_series = getattr(args[0], op)()
-    return result
+    return _OPERATIONS[op](*args)
 
 
 def _constant(value: arb) -> arb_series:

@@ -1,4 +1,4 @@
-"""Start of the command line: commands, completion, errors to exit status, streams, threads of BLAS, MPLBACKEND."""
+"""Start of the command line: commands, completion, width of help, errors to exit status, streams, threads of BLAS."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ _OPTION = "surctl.option"  # key of a field's metadata: the name of its option, 
 def option(name: str, help: str, default: Any = None, **kind: Any) -> Any:
     """Return a field of a dataclass of options, for `options`.
 
-    The dataclass needs neither comparison nor a text (`eq`, `repr`), whose code takes time when a command starts.
+    The dataclass should have neither comparison nor text (`eq`, `repr`) without need: they take time at each start.
 
     Args:
         name: the option, such as "--gains".

@@ -14,7 +14,7 @@ is 4e-7 for atan2 and acos, 2e-7 for tanh, and 3e-7 of the value for exp and log
 
 The value is NaN for sin, cos and tan of a NaN, of an infinity and of |x| > 2²⁰, for atan2 of a NaN or of two
 infinities, for acos outside [−1, 1], for log of a negative number, and for exp, log and tanh of a NaN. log(0) is −∞.
-exp is 0 below −708 and ∞ above 709.4 (in float below −87 and above 88.3), so that no value is subnormal. atan2 treats
+exp is 0 below −708 and ∞ above 709.4 (in float below −86.9 and above 88.3), so that no value is subnormal. atan2 treats
 −0 as +0, so that its values lie in (−π, π] and atan2(0, 0) = 0; the sine of −0 is −0. For atan2, the sum of |y| and |x|
 must not overflow.
 """

@@ -27,7 +27,7 @@ class Port:
         shape: (n,) for a vector, or (rows, columns) for a matrix that is stored row by row.
         unit: SI unit as text without brackets, "1" if dimensionless.
         meaning: description, with the frame.
-        default: value of all numbers of the part if the caller supplies none.
+        default: value of all numbers of the part if the caller supplies none, or a list with a value for each.
         gap: what the exported step does with this part of a controller's state after periods without a step: `keep` it,
             let it grow as an `age` [s] up to its default, or begin `anew` with the default after a long gap.
     """
@@ -51,9 +51,12 @@ class Port:
             remedy = "write (n,) for a vector, (rows, columns) for a matrix"
             raise InputError("is not a shape", key=f"{key}.shape", value=self.shape, remedy=remedy)
         default: object = self.default
+        if isinstance(default, list | tuple) and np.shape(default) == (self.size,):
+            default = np.array(default)
+            object.__setattr__(self, "default", default)
         entries = default.tolist() if isinstance(default, np.ndarray) and default.shape == (self.size,) else [default]
         if not all(map(is_number, entries)):
-            remedy = "give one finite number, which all entries get, or an array with one for each"
+            remedy = "give one finite number, which all entries get, or a list with one for each"
             raise InputError("is not a finite number", key=f"{key}.default", value=default, remedy=remedy)
 
     @cached_property

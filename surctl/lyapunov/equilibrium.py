@@ -1,4 +1,4 @@
-"""Equilibria in a box: found, made exact, or refused; their linearisation, and quadratic Lyapunov functions."""
+"""Equilibria in a box: found, made exact, or refused, also where parameters move them too far; linearisation, P."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plots of linear loops and of goals about them (Bode, Nyquist, steps, poles); replies of the design page."""
+"""Plots of linear loops and their goals (Bode, Nyquist, steps, poles, root locus); replies of the design page."""
 
 from __future__ import annotations
 

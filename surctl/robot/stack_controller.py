@@ -1,4 +1,4 @@
-"""A stack of tasks and limits of a robot as a controller: steps, damping, explanations, closed loops, C."""
+"""A stack of tasks and limits of a robot as a controller: steps, damping, budget, explanations, closed loops, C."""
 
 from __future__ import annotations
 

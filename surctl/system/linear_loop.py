@@ -1,4 +1,4 @@
-"""A sampled linear loop with named signals: opened and closed transfer functions, poles, and python-control systems."""
+"""A sampled linear loop with named signals: transfer functions, poles (marginal, unstable), and python-control."""
 
 from __future__ import annotations
 

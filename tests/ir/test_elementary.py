@@ -150,7 +150,7 @@ def test_in_float(name: str, bound: float) -> None:
 
 
 def test_exp_and_log_in_float() -> None:
-    x = np.random.default_rng(5).uniform(-87, 88, (20000, 2)).astype(np.float32)
+    x = np.random.default_rng(5).uniform(-86.9, 88, (20000, 2)).astype(np.float32)
     with np.errstate(under="ignore"):
         sizes = np.exp(x[:, 0].astype(float)).astype(np.float32)
     exp, log = alone("exp", "float32"), alone("log", "float32")

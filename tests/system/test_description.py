@@ -63,6 +63,10 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
     "unit None": (lambda: replace(ANGLE, unit=None), r"port angle\.unit: is not a text"),  # type: ignore[arg-type]
     "shape": (lambda: replace(ANGLE, shape=1), r"port angle\.shape = 1: is not a shape; write \(n,\)"),  # type: ignore[arg-type]
     "negative shape": (lambda: replace(ANGLE, shape=(-1,)), r"port angle\.shape = \(-1,\): is not a shape"),
+    "default of another size": (
+        lambda: replace(ANGLE, shape=(2,), default=(0.1, 0.2, 0.3)),
+        r"port angle\.default = \(0\.1, 0\.2, 0\.3\): is not a finite number; give one finite number, .* or a list",
+    ),
     "default NaN": (lambda: replace(ANGLE, default=np.nan), r"port angle\.default = nan: is not a finite number"),
     "default text": (lambda: replace(ANGLE, default="1"), r"angle\.default = '1': is not a finite"),  # type: ignore[arg-type]
     "one port": (lambda: Layout(ANGLE), r"port angle: is one port; write Layout"),  # type: ignore[arg-type]
@@ -170,6 +174,11 @@ def test_a_mistake_is_named(mistake: str) -> None:
     with pytest.raises(SurctlError, match=problem) as caught:
         build()
     assert "\n" not in str(caught.value)
+
+
+def test_a_default_may_be_a_list() -> None:
+    both = Port("q", (2,), "rad", "of two joints", (0.1, 0.2))  # type: ignore[arg-type]
+    assert Layout((both,)).pack().tolist() == [0.1, 0.2]
 
 
 def test_a_step_is_guarded_and_sized() -> None:

@@ -139,7 +139,7 @@ class PlantOptions:
         return lines
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, repr=False)
 class ControllerOptions:
     """The options for the controller process and its connection; an option that is not given has the value None."""
 

@@ -1,4 +1,4 @@
-"""The sonars in the law's model: beams past the hull, expected ranges, and firings that may change the map."""
+"""The sonars in the law's model: beams past the hull, floor and walls, expected ranges, firings that change the map."""
 
 from __future__ import annotations
 

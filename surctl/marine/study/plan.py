@@ -1,4 +1,4 @@
-"""The plan of a study and of `tune --vehicle`: keys of its file, missions scaled to a vehicle, those left out."""
+"""The plan of a study and of `tune --vehicle`: keys of its file, cruise speeds, missions scaled or left out."""
 
 from __future__ import annotations
 

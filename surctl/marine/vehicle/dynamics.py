@@ -1,4 +1,4 @@
-"""The dynamics, equation (3) of the paper and its optional terms: current, limits and lag of thrust, roll, pitch.
+"""The dynamics, equation (3): current, limits and lag of thrust, roll, pitch; the steady speed at a force and drag.
 
 A vehicle may have further terms (`PlantForm`): a full inertia matrix, drag on one axis by the velocity of another one,
 constant forces, and less thrust astern than ahead. The momentum is then M ν, and the body that turns at r about the

@@ -1,4 +1,4 @@
-"""The linear loop of a law about a straight cruise, for many vehicles, gains and speeds at once.
+"""The linear loop of a law about a straight cruise, for many vehicles, gains, speeds at once; states of lag, rudder.
 
 The law that runs is differentiated: the derivatives of its list of instructions about the cruise are one expression of
 its parameters, which is evaluated at all points together. The plant is continuous, with thrust lag; thrust commands are

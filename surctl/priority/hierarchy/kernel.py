@@ -1,4 +1,4 @@
-"""Strict priority within limits: one primal active set over all levels (Escande, Mansard and Wieber 2014).
+"""Strict priority within limits: one active set over all levels (Escande, Mansard, Wieber 2014); least budget.
 
 Given limits l ≤ a·v ≤ u (rows of length 1, hard or soft) and levels J v = x or l ≤ J v ≤ u, the kernel finds
 

@@ -1,4 +1,4 @@
-"""The sonar array: mounts, beams past the hull, ranges and codes, firing times, speed of sound, impossible values.
+"""The sonar array: mounts, pitch, beams past the hull, ranges, codes, firing times, speed of sound, bad values.
 
 The paper describes the array in section II-B and Table I. A firing is one ping, and all samples of a firing are
 conversions of the same echo. This is a design choice: five pings over 4.5 m, one after another, would take 30 ms in

@@ -425,7 +425,7 @@ def trace_batch(case: Case, values: Mapping[str, ArrayLike]) -> Iterator[Trace]:
     check_values(case, columns)
     loop = build_loop(structure_of(case, columns))
     compiled = compiled_loop(loop.structure)
-    parts = [loop.state.slice(name) for name in ("plant", "law", "last_thrust")]
+    slices = [loop.state.slice(name) for name in ("plant", "law", "last_thrust")]
     for first in range(0, len(run_seeds), _TOGETHER):
         some = slice(first, first + _TOGETHER)
         packed = Packed(case, loop, {name: column[some] for name, column in columns.items()}, run_seeds[some])
@@ -434,6 +434,6 @@ def trace_batch(case: Case, values: Mapping[str, ArrayLike]) -> Iterator[Trace]:
             state = compiled.run(state, packed.parameters, steps=1)  # one thread: to start more takes longer
             steps.append(state)
         done = np.stack([step[:, 0] for step in steps], axis=1) != 0
-        plant, law, tau = (np.stack([step[:, here] for step in steps], axis=1) for here in parts)
+        plant, law, tau = (np.stack([step[:, here] for step in steps], axis=1) for here in slices)
         for run, count in enumerate((~done[:, 1:]).sum(axis=1)):
             yield Trace(plant[run, :count], law[run, :count], tau[run, 1 : count + 1])

@@ -166,7 +166,7 @@ BRAKING_CLAIMS: Mapping[str, BrakingStatement] = {
         "as braking-rule-20, over the ranges of the vehicle file", None, wide=True, sideways=0.0
     ),
     "braking-rule-20-plane": BrakingStatement(
-        "as braking-rule-20, with a speed of up to 0.1 m/s across the latched direction", None, sideways=0.1
+        "as braking-rule-20, with a speed of up to 0.1 m/s across the direction of braking", None, sideways=0.1
     ),
     "braking-inertia-20": BrakingStatement(
         "law guarded, barrier inertia: no contact with obstacles at rest, parameters ±20 %, spin, any sideways speed",
@@ -184,7 +184,7 @@ BRAKING_CLAIMS: Mapping[str, BrakingStatement] = {
         "inertia", obstacle=0.05, sideways=0.1,
     ),
     "braking-simple-20": BrakingStatement(
-        "as braking-inertia-20, with the barrier simple and without spinning", "simple"
+        "as braking-inertia-20, with the barrier simple, while the robot does not spin", "simple"
     ),
 }  # fmt: skip
 
