@@ -213,6 +213,9 @@ ASKED = {
     "vehicle oscillates": "field", "DVL": "questions", "low battery": "questions", "roll and pitch": "add-a-vehicle",
     "bumpless": "questions", "battery sag": "add-a-vehicle", "refuted": "verify", "round tank": "questions",
     "SITL": "field", "hardly shrinks": "verify",
+    "neural network": "questions", "feedforward": "questions", "notch filter": "questions", "bandwidth": "tune",
+    "thermostat": "questions", "FOC motor": "questions", "satellite": "questions", "lambda tuning": "questions",
+    "PREEMPT_RT": "questions", "report a bug": "project", "not on PyPI": "questions", "SMT solver": "certificates",
 }  # fmt: skip
 
 
