@@ -66,9 +66,13 @@ _LOGARITHM = (
     "0x1.5555555555558p-2 0x1.99999999952d7p-3 0x1.2492492df281ap-3 0x1.c71c62e3f11e6p-4 0x1.7462b51cb66b1p-4 "
     "0x1.39fe51a7c18f9p-4 0x1.2b5900de53b32p-4"
 )
+_HYPERBOLIC = (
+    "-0x1.5555555555555p-2 0x1.1111111110c20p-3 -0x1.ba1ba1b9781ddp-5 0x1.664f48410984fp-6 -0x1.226e27eb22333p-7 "
+    "0x1.d6d0a4264e8f3p-9 -0x1.7d68a684c1e80p-10 0x1.32b08be7b1d07p-11 -0x1.cf9da632b4e6ap-13 0x1.f2d7e77542a4ap-15"
+)
 _LN_2, _BY_LN_2 = "0x1.62ep-1 0x1.0bfp-15 0x1.7d1cf79abc9e4p-28", "0x1.71547652b82fep+0"
 _EXPONENTS = [2**bit for bit in reversed(range(10))]  # of a power of two, from bits
-_LARGEST_EXPONENT, _LEAST, _SCALE, _CUT = 1023.0, 2.0**-1022, 54, 80.0
+_LARGEST_EXPONENT, _LEAST, _SCALE = 1023.0, 2.0**-1022, 54
 _HALF_PI = "0x1.921p+0 0x1.f6ap-13 0x1.110b4611p-26 0x1.4c4c6628b80dcp-59"
 _TWO_BY_PI, _TAN_PI_8, _LARGEST = "0x1.45f306dc9c883p-1", "0x1.a827999fcef34p-2", 2.0**20
 _ARGUMENTS = {
@@ -133,8 +137,8 @@ class Derivation(Numbers):
         at = self._put(op, *(int(np.ravel(a)[0]) for a in operands))
         entry = self.table.entries[at]
         if entry.op == "abs":
-            self._await("sin", *entry.args)
-            self._await("cos", *entry.args)
+            for function in ("sin", "cos", "tanh"):
+                self._await(function, *entry.args)
         elif op == "lt":  # atan2 and acos compare the two sides of their triangle first
             x, y = (int(np.ravel(a)[0]) for a in operands)
             for sides in product(self._with_size(y), self._with_size(x)):
@@ -145,14 +149,9 @@ class Derivation(Numbers):
                     self._await("acos", below.args[1])
             if self._is(y, _LEAST):
                 self._await("log", x)
-        elif entry.op == "min":  # the first instruction of exp and of tanh
-            for x, limit in (entry.args, entry.args[::-1]):
-                if self._is(limit, _LARGEST_EXPONENT):
-                    self._await("exp", x)
-                elif self._is(limit, _CUT) and self._op(x) == "mul":
-                    factors = self.table.entries[x].args
-                    for half in (a for a, b in (factors, factors[::-1]) if self._is(b, -2.0)):
-                        self._await("tanh", half)
+        elif entry.op == "min":  # the first instruction of exp
+            for x in (x for x, limit in (entry.args, entry.args[::-1]) if self._is(limit, _LARGEST_EXPONENT)):
+                self._await("exp", x)
         return self._functions.get(at, at)
 
     def _is(self, at: int, value: float) -> bool:
@@ -370,8 +369,13 @@ class Derivation(Numbers):
         return do("select", do("lt", x, 0.0), do("sqrt", x), value)
 
     def _tanh(self, x: int) -> int:
-        e = self.table.put("exp", self._do("fmin", self._do("mul", x, -2.0), _CUT))
-        return self._do("sub", self._do("div", 2.0, self._do("add", e, 1.0)), 1.0)
+        do = self._do
+        size, z = do("fabs", x), do("sq", x)
+        near = do("add", x, do("mul", do("mul", x, z), self._polynomial(z, _HYPERBOLIC)))
+        e = self.table.put("exp", do("mul", size, -2.0))
+        far = do("div", do("sub", 1.0, e), do("add", e, 1.0))
+        far = do("select", do("lt", x, 0.0), do("neg", far), far)
+        return do("select", do("lt", size, 0.5), near, far)
 
     # ---- comparison
 
@@ -407,9 +411,13 @@ class Derivation(Numbers):
             case "asin", [x]:
                 square = put("mul", put("sub", self._num(1), x), put("add", self._num(1), x))
                 return put("atan2", x, put("sqrt", square))
-            case "sinh" | "cosh", [x]:
+            case "cosh", [x]:
                 e = put("exp", x)
-                return put("mul", put("sub" if op == "sinh" else "add", e, put("inv", e)), self._num(Fraction(1, 2)))
+                return put("mul", put("add", e, put("inv", e)), self._num(Fraction(1, 2)))
+            case "sinh", [x]:
+                e = put("exp", x)
+                cosh = put("mul", put("add", e, put("inv", e)), self._num(Fraction(1, 2)))
+                return put("mul", put("tanh", x), cosh)
             case "powr", [x]:
                 return put("exp", put("mul", self._num(value), put("log", x)))
         return None

@@ -22,7 +22,8 @@ A certificate whose V is a quadratic form about the equilibrium may state `slope
 with feedbacks of the limits or none; then `surctl.certcheck.slopes` decides. Only such a claim may have a `radius` of
 each coordinate: the equilibrium lies within these radii of the stated point, about which Ω is, and the rate is that of
 V about the equilibrium. If parameters vary in time, solutions converge to the box of the radii instead. A claim with
-radii may be about constant parameters only (`constant`), each with its own equilibrium.
+radii may be about constant parameters only (`constant`), each with its own equilibrium: solutions that start in Ω then
+stay in the box and converge to it, and V about it decreases.
 
 `surctl.certcheck.sampled` decides about a plant under a sampled controller.
 """

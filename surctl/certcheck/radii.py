@@ -42,9 +42,9 @@ __all__ = ["least_rate", "narrowed", "norm", "read_constant", "read_radii", "req
 
 _Ends: TypeAlias = tuple[Fraction, Fraction]
 
-_MOST_RANGES = 1000  # into which parameters are cut
+_MOST_RANGES, _INFLATIONS = 300, 6  # into which parameters are cut; boxes that are tried for each
 _STEPS, _FAR = 8, 4  # of Newton's method; radii from the centre beyond which it is stopped
-_WIDER, _LEAST = 2, Fraction(1, 10**9)  # size of a box relative to how far the zero moves, and to the radii
+_WIDER, _LEAST = Fraction(5, 4), Fraction(1, 10**9)  # size of a box relative to its image, and to the radii
 
 
 def read_radii(claim: Mapping[str, Any], names: Sequence[str]) -> list[Fraction]:
@@ -147,43 +147,58 @@ class _Newton:
 
     def shows(self, at: Sequence[Fraction], p: Sequence[_Ends]) -> bool:
         """Return whether a box around a point lies in B and is shown to have a zero for all p."""
-        n, own = len(at), [(c - r, c + r) for c, r in zip(self.centre, self.radii, strict=True)]
+        own = [(c - r, c + r) for c, r in zip(self.centre, self.radii, strict=True)]
         try:
-            inverse, extent = self.extent(at, p, range(len(p)))
-            size = [_WIDER * x + r * _LEAST for x, r in zip(extent, self.radii, strict=True)]
-            box = [(max(x - r, low), min(x + r, high)) for x, r, (low, high) in zip(at, size, own, strict=True)]
-            slopes = self.derivatives(*box, *p)[1]
+            slopes = self.derivatives(*((x, x) for x in at), *p)[1]
+            still = self.still(at, p, slopes, range(len(p)))
+            size = self.image(self.inverse(slopes), [], still, [])
+            for _ in range(_INFLATIONS):
+                size = [_WIDER * x + r * _LEAST for x, r in zip(size, self.radii, strict=True)]
+                box = [(max(x - r, low), min(x + r, high)) for x, r, (low, high) in zip(at, size, own, strict=True)]
+                slopes = self.derivatives(*box, *p)[1]
+                image = self.image(self.inverse(slopes), slopes, still, size)
+                if all(low < x - r and x + r < high for x, r, (low, high) in zip(at, image, box, strict=True)):
+                    return True
+                if any(x > 2 * r for x, r in zip(image, self.radii, strict=True)):
+                    return False
+                size = image
         except Undefined:
-            return False
-        for i, line in enumerate(inverse):
-            for j in range(n):
-                middle = (
-                    sum((c * (row[j][0] + row[j][1]) for c, row in zip(line, slopes, strict=True)), Fraction(0)) / 2
-                )
-                apart = sum(
-                    (abs(c) * (row[j][1] - row[j][0]) for c, row in zip(line, slopes, strict=True)), Fraction(0)
-                )
-                extent[i] += (abs((i == j) - middle) + apart / 2) * size[j]
-        return all(low < x - r and x + r < high for x, r, (low, high) in zip(at, extent, box, strict=True))
+            pass
+        return False
 
-    def extent(
-        self, at: Sequence[Fraction], p: Sequence[_Ends], which: Iterable[int]
-    ) -> tuple[list[list[Fraction]], list[Fraction]]:
-        """Return C, and a bound on |C G(at, p)| by the mean value theorem, where only some parameters move."""
-        n, middles = len(at), [(sum(ends, Fraction(0)) / 2,) * 2 for ends in p]
-        values = self.derivatives(*((x, x) for x in at), *middles)[0]
-        slopes = self.derivatives(*((x, x) for x in at), *p)[1]
-        still = [_size(value) for value in values]
-        for k in which:
-            half = (p[k][1] - p[k][0]) / 2
-            still = [x + _size(row[n + k]) * half for x, row in zip(still, slopes, strict=True)]
-        inverse = self.inverse(slopes)
-        return inverse, _product([[abs(c) for c in line] for line in inverse], still)
+    def still(
+        self, at: Sequence[Fraction], p: Sequence[_Ends], slopes: Sequence[Sequence[_Ends]], which: Iterable[int]
+    ) -> list[Fraction]:
+        """Return bounds on |G(at, p)| by the mean value theorem in p, of which only some move."""
+        values = self.derivatives(*((x, x) for x in at), *((sum(ends, Fraction(0)) / 2,) * 2 for ends in p))[0]
+        halves = {k: (p[k][1] - p[k][0]) / 2 for k in which}
+        moved = (sum((_size(row[len(at) + k]) * x for k, x in halves.items()), Fraction(0)) for row in slopes)
+        return [_size(value) + x for value, x in zip(values, moved, strict=True)]
+
+    def image(
+        self,
+        inverse: Sequence[Sequence[Fraction]],
+        slopes: Sequence[Sequence[_Ends]],
+        still: Sequence[Fraction],
+        size: Sequence[Fraction],
+    ) -> list[Fraction]:
+        """Return |C| |G(at, p)| + |I − C J| size, for C and for the derivatives J on a box."""
+        out = []
+        for i, line in enumerate(inverse):
+            total = sum((abs(c) * x for c, x in zip(line, still, strict=True)), Fraction(0))
+            for j, width in enumerate(size):
+                ends = [(c * row[j][0], c * row[j][1]) for c, row in zip(line, slopes, strict=True)]
+                low, high = (sum((pick(pair) for pair in ends), Fraction(0)) for pick in (min, max))
+                total += max(abs((i == j) - low), abs((i == j) - high)) * width
+            out.append(total)
+        return out
 
     def moves(self, at: Sequence[Fraction], p: Sequence[_Ends], k: int) -> Fraction:
         """Return how far a parameter moves the zero, relative to the radii."""
         try:
-            return max(x / r for x, r in zip(self.extent(at, p, [k])[1], self.radii, strict=True))
+            slopes = self.derivatives(*((x, x) for x in at), *p)[1]
+            image = self.image(self.inverse(slopes), [], self.still(at, p, slopes, [k]), [])
+            return max(x / r for x, r in zip(image, self.radii, strict=True))
         except Undefined:
             return Fraction(0)
 

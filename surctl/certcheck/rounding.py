@@ -22,6 +22,7 @@ from surctl.certcheck.patience import go_on
 __all__ = ["OVERFLOW", "SHARE", "STEP", "TINY", "propagated", "rounding_error"]
 
 STEP = 2.0**-52  # largest relative error of an operation
+_FUNCTIONS, _FUNCTION = ("sin", "cos", "tan", "atan2", "acos", "exp", "log", "tanh"), 4  # their largest error [STEP]
 TINY = 2.0**-1074  # largest error of an operation whose result underflows
 SHARE = 1e-6  # largest error of a result, relative to its largest value
 _MOST = 256  # most parts of a box
@@ -71,7 +72,7 @@ def _error(table: ExpressionTable, root: int, box: Box, constants: Mapping[int, 
             continue
         error = float(propagated(entry.op, [errors[a] for a in entry.args], [ends[a] for a in entry.args], size))
         if entry.op not in ("abs", "max", "min", "neg", "select"):
-            error += STEP * size + TINY
+            error += (_FUNCTION if entry.op in _FUNCTIONS else 1) * STEP * size + TINY
         errors[at] = error if size < OVERFLOW and error < OVERFLOW else inf
     return errors[root]
 

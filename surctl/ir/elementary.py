@@ -2,14 +2,14 @@
 
 Arguments are reduced by the method of Cody and Waite (1980): to |r| ≤ π/4 for sin and cos, to |t| ≤ tan(π/8) for atan2,
 to |r| ≤ ln(2)/2 for exp, and to √½ ≤ m ≤ √2 for log. The polynomials interpolate (sin r / r − 1) / r², (cos r − 1 +
-r²/2) / r⁴, (atan t / t − 1) / t², (exp r − 1 − r) / r² and, with s = (m − 1)/(m + 1), (artanh s / s − 1) / s² at
-Chebyshev nodes. They were computed with 60 digits and rounded to double; their errors are below 3e-17, 2e-18, 4e-17,
-2e-17 and 2e-18. For float there are shorter polynomials, with errors below 1e-8, 1e-9, 1e-9, 8e-9 and 1e-9, and π/2 is
-split into three numbers. The float versions cost half as much.
+r²/2) / r⁴, (atan t / t − 1) / t², (exp r − 1 − r) / r², with s = (m − 1)/(m + 1) (artanh s / s − 1) / s², and (tanh x /
+x − 1) / x² for |x| < 0.5, at Chebyshev nodes. They were computed with 60 digits and rounded to double; their errors are
+below 3e-17, 2e-18, 4e-17, 2e-17, 2e-18 and 2e-17. For float there are shorter polynomials, with errors below 1e-8,
+1e-9, 1e-9, 8e-9, 1e-9 and 2e-9, and π/2 is split into three numbers. The float versions cost half as much.
 
 In double, the error is 2e-16 for sin and cos with |x| ≤ 1e6, 5e-16 for atan2 and acos, which is two to three units in
-the last place near 1, 3e-16 for tanh, and 4e-16 of the value for exp and log (of x near 1: 3e-16). In float, the error
-is 4e-7 for atan2 and acos, 2e-7 for tanh, and 3e-7 of the value for exp and log. For sin and cos in float, the error is
+the last place near 1, and 5e-16 of the value for exp, log and tanh. In float, the error is 4e-7 for atan2 and acos, and
+3e-7 of the value for exp, log and tanh. For sin and cos in float, the error is
 1.5e-7 if |x| ≤ 3000, and half a unit in the last place of x for larger |x|.
 
 The value is NaN for sin, cos and tan of a NaN, of an infinity and of |x| > 2²⁰, for atan2 of a NaN or of two
@@ -104,6 +104,16 @@ _ATAN = (
     *(0.07692182535116648, -0.06664502215671447, 0.058580687568615106, -0.05085030492810941),
     *(0.03921955253255129, -0.019162068915902573),
 )
+_TANH = (
+    *(-0.3333333333333333, 0.13333333333329822, -0.053968253963606584, 0.021869488297078295, -0.008863229266596306),
+    *(
+        0.003592033422276869,
+        -0.0014549590716245453,
+        0.000584964055598742,
+        -0.0002210692487866096,
+        5.946676439279716e-05,
+    ),
+)
 _EXP = (
     *(0.5000000000000001, 0.16666666666666669, 0.04166666666662413, 0.008333333333330062, 0.0013888888917213717),
     *(0.00019841269863053618, 2.4801521295954376e-05, 2.7557268459997064e-06, 2.7620088445409746e-07),
@@ -121,6 +131,7 @@ class _Series(NamedTuple):
     sin: tuple[float, ...]
     cos: tuple[float, ...]
     atan: tuple[float, ...]
+    tanh: tuple[float, ...]
     exp: tuple[float, ...]
     log: tuple[float, ...]
     half_pi: tuple[float, ...]
@@ -131,7 +142,7 @@ class _Series(NamedTuple):
 
 _SERIES: Mapping[Real, _Series] = MappingProxyType(
     {
-        "float64": _Series(_SIN, _COS, _ATAN, _EXP, _LOG, _HALF_PI, 10, 2.0**-1022),
+        "float64": _Series(_SIN, _COS, _ATAN, _TANH, _EXP, _LOG, _HALF_PI, 10, 2.0**-1022),
         "float32": _Series(
             (-0.1666666466231438, 0.008332748270629749, -0.00019587890880412386),
             (0.04166666465950221, -0.0013888303035894866, 2.4547942085071572e-05),
@@ -139,6 +150,13 @@ _SERIES: Mapping[Real, _Series] = MappingProxyType(
                 *(-0.3333333176116852, 0.19999540483648964, -0.1426395559798464),
                 0.10743731490791084,
                 -0.06451928208121749,
+            ),
+            (
+                -0.3333333279637591,
+                0.13333225734965642,
+                -0.05393345948536633,
+                0.021470611228009497,
+                -0.006942778214039691,
             ),
             (0.5, 0.16666576989698775, 0.041666554617204574, 0.008363179052722578, 0.0013926183587713494),
             (0.33333342522578013, 0.19994389141081403, 0.1479002652159422),
@@ -307,16 +325,18 @@ class _Formulas(Numbering):
         return self.do("select", self.do("lt", x, 0.0), self.do("sqrt", x), value)
 
     def tanh(self, x: int) -> int:
-        e = self.exp(self.do("fmin", self.do("mul", x, -2.0), 80.0))
-        return self.do("sub", self.do("div", 2.0, self.do("add", e, 1.0)), 1.0)
+        size, z = self.do("fabs", x), self.do("sq", x)
+        near = self.do("add", x, self.do("mul", self.do("mul", x, z), self.polynomial(z, self.series.tanh)))
+        e = self.exp(self.do("mul", size, -2.0))
+        far = self.do("div", self.do("sub", 1.0, e), self.do("add", e, 1.0))
+        far = self.do("select", self.do("lt", x, 0.0), self.do("neg", far), far)
+        return self.do("select", self.do("lt", size, 0.5), near, far)
 
 
 _WRITTEN_OUT: Mapping[str, Callable[..., int]] = MappingProxyType({name: getattr(_Formulas, name) for name in LIBM})
 
 
 # Functions that the instruction list has not, by those that it has
-
-_MOST_PRODUCTS = 1023  # largest whole exponent of a power by products
 
 
 def _arcsine(code: Numbering, x: int) -> int:
@@ -327,40 +347,68 @@ def _signed(code: Numbering, x: int, size: int) -> int:
     return code.do("select", code.do("lt", x, 0.0), code.do("neg", size), size)
 
 
-def _quotient(code: Numbering, x: int, y: int) -> int:
-    """Return x − y trunc(x/y)."""
-    ratio = code.do("div", x, y)
-    whole = _signed(code, ratio, code.do("floor", code.do("fabs", ratio)))
-    return code.do("sub", x, code.do("mul", y, whole))
-
-
-def _nearest(code: Numbering, x: int, y: int) -> int:
-    """Return x − y round(x/y)."""
-    return code.do("sub", x, code.do("mul", y, code.do("floor", code.do("add", code.do("div", x, y), 0.5))))
-
-
 def _sign(code: Numbering, x: int) -> int:
     # a zero and a NaN remain
     above = code.do("select", code.do("lt", 0.0, x), 1.0, x)
     return code.do("select", code.do("lt", x, 0.0), -1.0, above)
 
 
-def _hyperbolic(code: Numbering, x: int, op: str) -> int:
+def _hyperbolic_cosine(code: Numbering, x: int) -> int:
     e = code.do("exp", x)
-    return code.do("mul", code.do(op, e, code.do("inv", e)), 0.5)
+    return code.do("mul", code.do("add", e, code.do("inv", e)), 0.5)
 
 
-def _area(code: Numbering, x: int, op: str) -> int:
-    """Return log(x + √(x² ± 1)), for x ≥ 0."""
-    return code.do("log", code.do("add", x, code.do("sqrt", code.do(op, code.do("sq", x), 1.0))))
+def _hyperbolic_sine(code: Numbering, x: int) -> int:
+    return code.do("mul", code.do("tanh", x), _hyperbolic_cosine(code, x))
+
+
+def _exp_less_1(code: Numbering, x: int) -> int:
+    """Return exp x − 1 = tanh(x/2) (exp x + 1), without cancellation, and ∞ where exp x is."""
+    e = code.do("exp", x)
+    return code.do("mul", code.do("tanh", code.do("mul", x, 0.5)), code.do("add", e, 1.0))
+
+
+def _log_of_1_more(code: Numbering, x: int) -> int:
+    """Return log(1 + x) = x log(u)/(u − 1) for the rounded sum u, whose rounding error then cancels."""
+    u = code.do("add", x, 1.0)
+    share = code.do("div", code.do("mul", x, code.do("log", u)), code.do("sub", u, 1.0))
+    inside = code.do("and", code.do("lt", u, math.inf), code.do("lt", -math.inf, code.do("log", u)))
+    value = code.do("select", inside, share, code.do("log", u))
+    return code.do("select", code.do("eq", u, 1.0), x, value)
+
+
+def _area_sine(code: Numbering, x: int) -> int:
+    """Return ± log(1 + s + s²/(1 + √(s² + 1))) for s = |x|; log(2 s) for large s."""
+    size = code.do("fabs", x)
+    square = code.do("sq", size)
+    root = code.do("sqrt", code.do("add", square, 1.0))
+    near = _log_of_1_more(code, code.do("add", size, code.do("div", square, code.do("add", root, 1.0))))
+    far = code.do("add", code.do("log", size), math.log(2.0))
+    return _signed(code, x, code.do("select", code.do("lt", 1e8, size), far, near))
+
+
+def _area_cosine(code: Numbering, x: int) -> int:
+    below, above = code.do("sqrt", code.do("sub", x, 1.0)), code.do("sqrt", code.do("add", x, 1.0))
+    return code.do("log", code.do("add", x, code.do("mul", below, above)))
+
+
+def _area_tangent(code: Numbering, x: int) -> int:
+    return code.do("mul", _log_of_1_more(code, code.do("div", code.do("twice", x), code.do("sub", 1.0, x))), 0.5)
+
+
+def _hypotenuse(code: Numbering, x: int, y: int) -> int:
+    one, other = code.do("fabs", x), code.do("fabs", y)
+    large, small = code.do("fmax", one, other), code.do("fmin", one, other)
+    ratio = code.do("div", small, code.do("select", code.do("eq", large, 0.0), 1.0, large))
+    return code.do("mul", large, code.do("sqrt", code.do("add", code.do("sq", ratio), 1.0)))
 
 
 def _power(code: Numbering, x: int, y: int) -> int:
     """Return x^y: by products for a whole number y, otherwise exp(y log x), which is NaN for a negative x."""
     exponent = code.instructions[y].value
-    if exponent is None or exponent != round(exponent) or abs(exponent) > _MOST_PRODUCTS:
+    if exponent is None or not exponent.is_integer():  # nor infinite
         return code.do("exp", code.do("mul", y, code.do("log", x)))
-    bits, value = f"{abs(round(exponent)):b}", x
+    bits, value = f"{abs(int(exponent)):b}", x
     for bit in bits[1:]:
         value = code.do("sq", value)
         value = code.do("mul", value, x) if bit == "1" else value
@@ -369,25 +417,20 @@ def _power(code: Numbering, x: int, y: int) -> int:
 
 COMPOSED: Mapping[str, Callable[..., int]] = MappingProxyType(
     {
-        "acosh": partial(_area, op="sub"),
+        "acosh": _area_cosine,
         "asin": _arcsine,
-        "asinh": lambda code, x: _signed(code, x, _area(code, code.do("fabs", x), "add")),
+        "asinh": _area_sine,
         "atan": lambda code, x: code.do("atan2", x, 1.0),
-        "atanh": lambda code, x: code.do(
-            "mul", code.do("log", code.do("div", code.do("add", 1.0, x), code.do("sub", 1.0, x))), 0.5
-        ),
+        "atanh": _area_tangent,
         "ceil": lambda code, x: code.do("neg", code.do("floor", code.do("neg", x))),
         "constpow": _power,
-        "copysign": lambda code, x, y: _signed(code, y, code.do("fabs", x)),
-        "cosh": partial(_hyperbolic, op="add"),
-        "expm1": lambda code, x: code.do("sub", code.do("exp", x), 1.0),
-        "fmod": _quotient,
-        "hypot": lambda code, x, y: code.do("sqrt", code.do("add", code.do("sq", x), code.do("sq", y))),
-        "log1p": lambda code, x: code.do("log", code.do("add", 1.0, x)),
+        "cosh": _hyperbolic_cosine,
+        "expm1": _exp_less_1,
+        "hypot": _hypotenuse,
+        "log1p": _log_of_1_more,
         "pow": _power,
-        "remainder": _nearest,
         "sign": _sign,
-        "sinh": partial(_hyperbolic, op="sub"),
+        "sinh": _hyperbolic_sine,
     }
 )
 """Functions of CasADi that `lower` writes by operations of the instruction list."""

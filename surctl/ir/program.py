@@ -140,10 +140,13 @@ SUBSTITUTES: Mapping[str, str] = MappingProxyType(
     {
         "assertion": "check outside the law",
         "call": "build the inner function without never_inline",
+        "copysign": "write if_else(y < 0, -fabs(x), fabs(x))",
         "erf": "approximate it by a polynomial or a rational function",
+        "fmod": "write x - y*floor(x/y) (result has the sign of y)",
         "monitor": "remove it",
         "parameter": "make it an input of the function",
         "printme": "remove it",
+        "remainder": "write x - y*floor(x/y + 0.5)",
     }
 )
 """For operations that the instruction list does not support, the replacement that an error message suggests."""

@@ -74,6 +74,9 @@ class Stability:
     def statement(self) -> str:
         """The claim in words."""
         pace = "" if self.rate is None else f" at the rate {every_digit(self.rate)}"
+        if self.dynamics.shifts:
+            start = f"every solution that starts where V < {every_digit(self.level)} stays in the box"
+            return f"{start} and converges to {self.goal}; V about that equilibrium decreases{pace}"
         region = f"where the Lyapunov function V < {every_digit(self.level)} in the box"
         return f"{region}, V decreases{pace} and every solution converges to {self.goal}"
 

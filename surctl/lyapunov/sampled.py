@@ -303,11 +303,15 @@ class SampledStability(Stability):
         """The claim in words."""
         sampling = self.dynamics.sampling
         assert sampling is not None
+        held = f"sampled every {every_digit(sampling.period)} s with held commands"
         pace = "" if self.rate is None else f" by at least {every_digit(self.rate)} of its value"
+        if self.dynamics.shifts:
+            start = f"every solution that starts at an instant where V < {every_digit(self.level)}"
+            about = f"; V about that equilibrium decreases{pace} from sample to sample"
+            return f"{held}: {start} stays in the box and converges to {self.goal}{about}"
         return (
-            f"sampled every {every_digit(sampling.period)} s with held commands: where the Lyapunov function V < "
-            f"{every_digit(self.level)}, V decreases{pace} from sample to sample, and every solution converges to "
-            f"{self.goal}"
+            f"{held}: where the Lyapunov function V < {every_digit(self.level)}, V decreases{pace} from sample to "
+            f"sample, and every solution converges to {self.goal}"
         )
 
     def plain(self) -> dict[str, Any]:

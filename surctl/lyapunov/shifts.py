@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from surctl.certcheck import Rejected
 from surctl.certcheck.enclosure import Undefined
+from surctl.certcheck.patience import patient
 from surctl.certcheck.radii import require_rest
 from surctl.lyapunov.dynamics import Command, Dynamics
 from surctl.verification.formula import text_of, variable
@@ -19,7 +20,8 @@ Array = NDArray[np.float64]
 
 _REST, _STEPS = 1e-9, 20  # residual of a zero, relative to the rates in the box; steps of Newton's method
 _TRIALS, _STAGES, _SHORT = 64, 4, 6  # drawn parameters; steps to them from their middle; digits of the middle
-_LARGER = (1.02, 1.1, 1.3, 1.7, 2.5)  # radii that are tried, relative to those of the equilibria zeros
+_LARGER = (1.02, 1.2, 1.7)  # radii that are tried, relative to those of the drawn equilibria
+_TIME = 2.0  # processor time for each of them [s]
 _LEAST = 1e-7  # radius of a state whose equilibrium does not move, relative to the box
 
 
@@ -58,11 +60,11 @@ def shifted(dynamics: Dynamics) -> Dynamics | None:
     rounded = np.array([float(f"{x:.{_SHORT}g}") for x in ends.mean(axis=0)])
     middle = np.where(np.abs(rounded) > _LEAST * units, rounded, 0.0)
     most = np.maximum(np.abs(ends - middle).max(axis=0), _LEAST * units)
-    states = tuple(replace(s, equilibrium=v, exact=None) for s, v in zip(d.states, middle.tolist(), strict=False))
+    exactly = [Fraction(repr(v)) for v in middle.tolist()]
+    states = tuple(replace(s, equilibrium=float(v), exact=v) for s, v in zip(d.states, exactly, strict=False))
     moved = replace(d, states=states)
     if d.sampling is not None:
-        rests = middle[len(states) :].tolist()
-        at_rest = tuple(replace(c, rest=Fraction(rest)) for c, rest in zip(commands, rests, strict=True))
+        at_rest = tuple(replace(c, rest=v) for c, v in zip(commands, exactly[len(states) :], strict=True))
         moved = replace(moved, sampling=replace(d.sampling, commands=at_rest))
     names = [*d.names, *(c.name for c in commands)]
     for factor in _LARGER:
@@ -88,7 +90,8 @@ def _shown(d: Dynamics) -> bool:
     names = [*d.names, *(c.name for c in commands), *(p.name for p in d.parameters)]
     ranges = [(p.lower, p.upper) for p in d.parameters]
     try:
-        require_rest(names, ranges, texts, centre, [Fraction(repr(r)) for r in d.shifts.values()])
+        with patient(_TIME):
+            require_rest(names, ranges, texts, centre, [Fraction(repr(r)) for r in d.shifts.values()])
     except (Rejected, Undefined):
         return False
     return True

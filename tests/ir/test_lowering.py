@@ -3,12 +3,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import casadi as ca
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import given, settings
 
 from surctl.errors import InputError, UnsupportedOperation
-from surctl.ir import Instruction, Program, lower, replay
+from surctl.ir import Instruction, Program, lower, replay, without_libm
 from surctl.ir.c99 import rearranged
 from surctl.ir.tracing import _Builder
 from tests.ir.expressions import EXACT, LIBM_MAKERS, grown, numbers, picks, whole
@@ -75,10 +76,10 @@ def test_mx_functions_are_expanded() -> None:
 @pytest.mark.parametrize(
     "function",
     [
-        ca.sign, ca.ceil, ca.sinh, ca.cosh, ca.asinh, ca.expm1, ca.atan, lambda a: ca.asin(a / 4), ca.tan,
-        lambda a: ca.atanh(a / 4), lambda a: ca.acosh(5 + a), lambda a: ca.log1p(a + 4), lambda a: ca.fmod(a, 0.7),
-        lambda a: ca.remainder(a, 0.7), lambda a: ca.copysign(2, a), lambda a: ca.hypot(a, 2), lambda a: (a + 4) ** 2.5,
-        lambda a: (a + 4) ** -3, lambda a: (a + 4) ** a, lambda a: a**150 / 1e70,
+        ca.sign, ca.ceil, ca.sinh, ca.cosh, ca.asinh, ca.expm1, ca.atan, lambda a: ca.asin(a / 4), ca.tan, ca.tanh,
+        lambda a: ca.atanh(a / 4), lambda a: ca.acosh(5 + a), lambda a: ca.log1p(a + 4), lambda a: ca.hypot(a, 2),
+        lambda a: (a + 4) ** 2.5, lambda a: (a + 4) ** -3, lambda a: (a + 4) ** a, lambda a: a**150 / 1e70,
+        lambda a: (a / 4) ** 2000 + a,
     ],
 )  # fmt: skip
 def test_functions_that_the_list_lacks_are_written_by_others(function: Callable[[ca.SX], ca.SX]) -> None:
@@ -89,10 +90,41 @@ def test_functions_that_the_list_lacks_are_written_by_others(function: Callable[
     np.testing.assert_allclose(have, np.array(wanted(points)).ravel(), rtol=1e-13, atol=1e-15)
 
 
-def test_refused_operations_are_named() -> None:
+@pytest.mark.parametrize("name", ["sinh", "tanh", "asinh", "atanh", "expm1", "log1p", "atan", "asin", "tan"])
+def test_small_values_keep_their_digits(name: str) -> None:
     x = ca.SX.sym("x")
-    with pytest.raises(UnsupportedOperation, match=r"'erf'.*approximate"):
-        lower(ca.Function("f", [x], [ca.erf(x)]))
+    program = lower(ca.Function("f", [x], [getattr(ca, name)(x)]))
+    for at in (1e-300, 1e-20, -1e-9, 3e-5, -0.01, 0.3):
+        [[have]] = replay(without_libm(program), [at])
+        assert have == pytest.approx(float(getattr(mpmath, name)(at)), rel=2e-15)
+
+
+def test_ends_of_the_inverse_functions() -> None:
+    x = ca.SX.sym("x")
+
+    def at(function: Callable[..., ca.SX], value: float, *more: float) -> float:
+        return float(replay(without_libm(lower(ca.Function("f", [x], [function(x, *more)]))), [value])[0][0])
+
+    assert at(ca.asinh, 1e300) == pytest.approx(691.4686750787736) == -at(ca.asinh, -1e300)
+    assert at(ca.acosh, 1e300) == pytest.approx(691.4686750787736) and at(ca.acosh, 1.0) == 0.0
+    assert np.isnan([at(ca.acosh, value) for value in (0.5, -1e9, -1e300)]).all()
+    assert at(ca.hypot, 3e200, 4e200) == pytest.approx(5e200) and at(ca.hypot, 0.0, 1e-200) == 1e-200
+    assert at(ca.log1p, -1.0) == -np.inf and np.isnan(at(ca.log1p, -2.0)) and at(ca.expm1, -800.0) == -1.0
+
+
+@pytest.mark.parametrize(
+    ("function", "says"),
+    [
+        (ca.erf, "'erf'.*approximate"),
+        (lambda a: ca.fmod(a, 0.7), "'fmod'.*floor"),
+        (lambda a: ca.remainder(a, 0.7), "'remainder'.*floor"),
+        (lambda a: ca.copysign(2, a), "'copysign'.*if_else"),
+    ],
+)
+def test_refused_operations_are_named(function: Callable[[ca.SX], ca.SX], says: str) -> None:
+    x = ca.SX.sym("x")
+    with pytest.raises(UnsupportedOperation, match=says):
+        lower(ca.Function("f", [x], [function(x)]))
 
 
 def test_inputs_must_be_dense_columns_and_constants_numbers() -> None:
