@@ -49,10 +49,10 @@ def activity_line(run: lib.Run) -> str:
     axes = (m.variation_surge_n_per_s, m.variation_sway_n_per_s, m.variation_heave_n_per_s, m.variation_yaw_n_m_per_s)
     varies = ", ".join(f"{one if abs(one) > _ROUNDING else 0:.2g}" for one in axes)
     return (
-        f"  {angles}thrust varies by {varies} (N/s in surge, sway, heave, N m/s in "
-        f"yaw); worst axis: {m.axis_sign_changes_per_s:.2g} sign changes/s, saturated {m.axis_saturated_share:.0%} of "
-        f"the time; wasted thrust (beyond the drag along the path): {m.wasted_impulse_n_s:.0f} N s "
-        f"({m.wasted_share:.0%})"
+        f"  {angles}thrust varies by {varies} (N/s in surge, sway, heave, N m/s in yaw); most sign changes of an axis: "
+        f"{m.axis_sign_changes_per_s:.2g}/s; longest time of an axis at its limit: {m.axis_saturated_share:.0%} of the "
+        f"run; wasted thrust (beyond the drag along the path): {m.wasted_impulse_n_s:.0f} N s ({m.wasted_share:.0%} of "
+        "the horizontal thrust)"
     )
 
 
