@@ -1,4 +1,4 @@
-"""Numbers of a user; quantities such as "0.54 m" or "5 cm" in SI units; proved numbers as text, rounded safely."""
+"""Numbers of a user: finite, no text or None; quantities such as "5 cm" in SI units; proved numbers, rounded safely."""
 
 from __future__ import annotations
 

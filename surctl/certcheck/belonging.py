@@ -1,4 +1,4 @@
-"""`check --bundle`: whether a certificate applies to an exported controller; units, entries not bound or not covered.
+"""`check --bundle`: which numbers of each kind must agree with an exported controller; units, what is not covered.
 
 It is not enough that hashes are equal. Each vehicle parameter must lie in its certified range, each gain must equal the
 certified gain, each certified bound must hold for the exported controller, and the dynamics of a loop must be those

@@ -1,4 +1,4 @@
-"""Comparison of numbers of a claim (gains, vehicle, limits, hashes, period) with those of an exported controller."""
+"""How numbers of a claim are compared with those of an exported controller (which: `belonging`); hashes, period."""
 
 from __future__ import annotations
 
