@@ -161,15 +161,13 @@ def in_unit(value: float, unit: str, target: str) -> float:
     try:
         # one factor for a decimal prefix, so that 15 cm is exactly the number 0.15
         quantity = _registry().Quantity(1.0, unit)
-        if target == "1" and str(quantity.to_root_units().units) == "radian":
-            raise InputError("is an angle, not a share", value=unit, remedy='give a number such as 0.05, or "5 %"')
-        factor = float(quantity.to(target).magnitude)
-    except InputError:
-        raise
+        factor, root = float(quantity.to(target).magnitude), str(quantity.to_root_units().units)
     except pint.DimensionalityError:
         raise InputError("wrong unit", value=unit, remedy=remedy) from None
     except Exception:  # the unit parser may raise any exception; each one means that the text is not a unit
         raise InputError("is not a unit", value=unit, remedy=remedy) from None
+    if target == "1" and root == "radian":
+        raise InputError("is an angle, not a share", value=unit, remedy='give a number such as 0.05, or "5 %"')
     inverse = round(1.0 / factor) if factor else 0
     if factor < 1 and inverse and math.isclose(1.0 / inverse, factor, rel_tol=1e-15):
         return value / inverse

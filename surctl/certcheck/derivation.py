@@ -411,13 +411,10 @@ class Derivation(Numbers):
             case "asin", [x]:
                 square = put("mul", put("sub", self._num(1), x), put("add", self._num(1), x))
                 return put("atan2", x, put("sqrt", square))
-            case "cosh", [x]:
-                e = put("exp", x)
-                return put("mul", put("add", e, put("inv", e)), self._num(Fraction(1, 2)))
-            case "sinh", [x]:
+            case "sinh" | "cosh", [x]:
                 e = put("exp", x)
                 cosh = put("mul", put("add", e, put("inv", e)), self._num(Fraction(1, 2)))
-                return put("mul", put("tanh", x), cosh)
+                return cosh if op == "cosh" else put("mul", put("tanh", x), cosh)
             case "powr", [x]:
                 return put("exp", put("mul", self._num(value), put("log", x)))
         return None

@@ -108,7 +108,8 @@ def require_rest(
         shares = {k: (box[k][1] - box[k][0]) / (high - low) for k, (low, high) in enumerate(whole) if low < high}
         if not any(shares.values()):
             break
-        k = max(shares, key=lambda k: shares[k] / 4 + newton.moves(at, box, k))
+        moves = newton.moves(at, box)
+        k = max(shares, key=lambda k: shares[k] / 4 + moves[k])
         (low, high), middle = box[k], sum(box[k], Fraction(0)) / 2
         waiting += [[*box[:k], ends, *box[k + 1 :]] for ends in ((low, middle), (middle, high))]
     raise Rejected("an equilibrium within the radii is not shown to exist for all parameters")
@@ -150,7 +151,7 @@ class _Newton:
         own = [(c - r, c + r) for c, r in zip(self.centre, self.radii, strict=True)]
         try:
             slopes = self.derivatives(*((x, x) for x in at), *p)[1]
-            still = self.still(at, p, slopes, range(len(p)))
+            still = self.still(self.at_middles(at, p), p, slopes, range(len(p)))
             size = self.image(self.inverse(slopes), [], still, [])
             for _ in range(_INFLATIONS):
                 size = [_WIDER * x + r * _LEAST for x, r in zip(size, self.radii, strict=True)]
@@ -166,13 +167,17 @@ class _Newton:
             pass
         return False
 
+    def at_middles(self, at: Sequence[Fraction], p: Sequence[_Ends]) -> list[_Ends]:
+        """Return G(at, p) at the middles of the ranges."""
+        middles = ((sum(ends, Fraction(0)) / 2,) * 2 for ends in p)
+        return self.derivatives(*((x, x) for x in at), *middles)[0]
+
     def still(
-        self, at: Sequence[Fraction], p: Sequence[_Ends], slopes: Sequence[Sequence[_Ends]], which: Iterable[int]
+        self, values: Sequence[_Ends], p: Sequence[_Ends], slopes: Sequence[Sequence[_Ends]], which: Iterable[int]
     ) -> list[Fraction]:
         """Return bounds on |G(at, p)| by the mean value theorem in p, of which only some move."""
-        values = self.derivatives(*((x, x) for x in at), *((sum(ends, Fraction(0)) / 2,) * 2 for ends in p))[0]
-        halves = {k: (p[k][1] - p[k][0]) / 2 for k in which}
-        moved = (sum((_size(row[len(at) + k]) * x for k, x in halves.items()), Fraction(0)) for row in slopes)
+        n, halves = len(self.centre), {k: (p[k][1] - p[k][0]) / 2 for k in which}
+        moved = (sum((_size(row[n + k]) * x for k, x in halves.items()), Fraction(0)) for row in slopes)
         return [_size(value) + x for value, x in zip(values, moved, strict=True)]
 
     def image(
@@ -193,14 +198,15 @@ class _Newton:
             out.append(total)
         return out
 
-    def moves(self, at: Sequence[Fraction], p: Sequence[_Ends], k: int) -> Fraction:
-        """Return how far a parameter moves the zero, relative to the radii."""
+    def moves(self, at: Sequence[Fraction], p: Sequence[_Ends]) -> list[Fraction]:
+        """Return how far each parameter moves the zero, relative to the radii."""
         try:
             slopes = self.derivatives(*((x, x) for x in at), *p)[1]
-            image = self.image(self.inverse(slopes), [], self.still(at, p, slopes, [k]), [])
-            return max(x / r for x, r in zip(image, self.radii, strict=True))
+            values, inverse = self.at_middles(at, p), self.inverse(slopes)
         except Undefined:
-            return Fraction(0)
+            return [Fraction(0)] * len(p)
+        images = (self.image(inverse, [], self.still(values, p, slopes, [k]), []) for k in range(len(p)))
+        return [max(x / r for x, r in zip(image, self.radii, strict=True)) for image in images]
 
 
 def _product(matrix: Sequence[Sequence[Fraction]], vector: Sequence[Fraction]) -> list[Fraction]:

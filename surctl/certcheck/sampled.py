@@ -105,12 +105,11 @@ def check(document: Mapping[str, Any]) -> None:
     between = Motion(names[:size], names, [*box, *ranges[n:], *whole[size:]], rates, discrete=False)
     table = ExpressionTable(names)
     between.require_continuous(table, [table.read(text) for text in between.rates], "the dynamics contain")
-    shapes = [inverse(knot) for knot in knots] if radii else []
-    moved, time = norm(shapes[0], drift) if radii else Fraction(0), period / (len(knots) - 1)
+    shapes = [inverse(knot) for knot in knots] if radii and not fixed else []  # for the drift about x̂
+    moved, time = norm(shapes[0], drift) if shapes else Fraction(0), period / (len(knots) - 1)
     for k, pair in enumerate(pairwise(knots)):
-        if not fixed:
-            wide = max((widened(shape, level, radii) for shape in shapes[k : k + 2]), default=level)
-        drift = _piece(between, centre, wide, pair, time, radii)
+        extent = wide if fixed else max((widened(shape, level, radii) for shape in shapes[k : k + 2]), default=level)
+        drift = _piece(between, centre, extent, pair, time, radii)
         moved += time * max((norm(shape, drift) for shape in shapes[k : k + 2]), default=Fraction(0))
     if fixed:
         still = [flow.get(name, f"({text}) - {name}") for name, text in zip(names, texts, strict=False)]

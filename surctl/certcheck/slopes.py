@@ -131,7 +131,8 @@ def check_decrease(
         cover, gains, radii = inverse(needed.p), list(needed.gains), needed.radii
         level = widened(needed.p, needed.level, radii)
         rows = Rows(names, ends, rates, [cover], needed.centre, level, gains, feedbacks, radii)
-        free = [rows.resting(k, needed.centre[k] if discrete else Fraction(0)) for k in range(len(rates))]
+        still_at = needed.centre if discrete else [Fraction(0)] * len(rates)
+        free = [] if needed.fixed else [rows.resting(k, at) for k, at in enumerate(still_at)]
         if needed.fixed:
             still = [f"({rate}) - {name}" if discrete else rate for name, rate in zip(names, rates, strict=False)]
             require_rest(names, box[len(rates) :], still, needed.centre, radii)
@@ -141,7 +142,7 @@ def check_decrease(
         raise Rejected(f"there are {len(feedbacks)} feedbacks for {len(rows.limits)} limits")
     if needed.constant < 0:
         raise Rejected("V would have to become negative")
-    moves = not needed.fixed and any(entry.poly or entry.error for entry in free)
+    moves = any(entry.poly or entry.error for entry in free)
     if moves and radii:
         least = least_rate(norm(needed.p, [rows.size(entry) for entry in free]), [cover], radii)
         needed, moves = replace(needed, rate=max(needed.rate, least)), False
