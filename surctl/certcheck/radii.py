@@ -144,6 +144,8 @@ class _Newton:
             at = [Fraction(float(x - y)) for x, y in zip(at, step, strict=True)]
             if not all(abs(x - c) < _FAR * r for x, c, r in zip(at, self.centre, self.radii, strict=True)):
                 return None
+            if all(abs(y) < _LEAST * r for y, r in zip(step, self.radii, strict=True)):
+                break
         return at if all(abs(x - c) < r for x, c, r in zip(at, self.centre, self.radii, strict=True)) else None
 
     def shows(self, at: Sequence[Fraction], p: Sequence[_Ends]) -> bool:
