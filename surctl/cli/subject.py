@@ -146,7 +146,7 @@ class OwnSystem:
     def loop_lines(self, loop: lib.LoopCorners) -> list[str]:
         """Return lines of text: equilibrium, slowest mode, margins of each loop alone and of all loops at once."""
         nominal, period = loop.nominal, self.system.dt
-        lines = [f"{self.system.title}, linear about its equilibrium, with references and disturbances of t = 0:"]
+        lines = [f"{self.system.title}, linearised about its equilibrium (references, disturbances as at t = 0):"]
         lines += [
             f"  {kind} {label} = {value:.6g} {unit}"
             for kind, rows in self.resting(loop).items()

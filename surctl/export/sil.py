@@ -238,7 +238,7 @@ class SilReport:
         resets = f", state loaded anew {len(self.resets)} times" if self.resets else ""
         lines = [
             f"SIL {self.name}: {'passed' if self.passed else 'FAILED'} over {self.steps} steps{resets}",
-            f"  largest difference (bar {TOLERANCE:g}): {self.command} {self.tau.mixed:.1e}, "
+            f"  largest difference (limit {TOLERANCE:g}): {self.command} {self.tau.mixed:.1e}, "
             f"state {self.state.mixed:.1e}, telemetry {self.telemetry.mixed:.1e}",
             f"  status: {self.status_mismatches} of {self.steps} steps differ; "
             f"self-test {'ok' if self.self_test else 'FAILED'}",

@@ -36,7 +36,7 @@ from surctl.verification.proving import prove_cases
 NOT_COVERED = "the control law in continuous time: sampling, hold and delay are not covered"
 """What a claim about the dynamics of `continuous_dynamics` does not cover."""
 
-HELD_COMMANDS = "the sampled loop, with held commands: a delay of the computation and rounding are not covered"
+HELD_COMMANDS = "the sampled loop with held commands (computing delay and rounding are not covered)"
 """What a claim about the sampled form of these dynamics (`Dynamics.sampling`) does not cover."""
 
 _AS_FLOW = "; the controller state z follows z' = (z+ - z) / period"

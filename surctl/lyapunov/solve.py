@@ -97,7 +97,7 @@ def limits_sentence(dynamics: Dynamics, function: Node, level: float, whole: Dyn
         >>> x = {"x": variable("x")}
         >>> held = Dynamics("held", "continuous", (State("x", -2.0, 2.0),), (parse("max(-1, min(1, -2*x))", x),))
         >>> limits_sentence(held, parse("x^2", x), 0.2, held)
-        'no limit (min, max) of the rates acts at 16258 samples of the region; a limit acts at V = 0.25'
+        'no limit (min, max) in the dynamics acts at 16258 samples of the region; one acts at V = 0.25'
         >>> limits_sentence(held, parse("x^2", x), 0.3, held)
         ''
     """
@@ -120,9 +120,9 @@ def limits_sentence(dynamics: Dynamics, function: Node, level: float, whole: Dyn
     inside = v < level
     if inside.sum() < _FEWEST or np.any(acts & inside):
         return ""
-    text = f"no limit (min, max) of the rates acts at {inside.sum()} samples of the region; "
+    text = f"no limit (min, max) in the dynamics acts at {inside.sum()} samples of the region; "
     beyond = v[acts & np.isfinite(v)]
-    return text + (f"a limit acts at V = {beyond.min():.3g}" if beyond.size else "nor at any sample of the box")
+    return text + (f"one acts at V = {beyond.min():.3g}" if beyond.size else "nor at any sample of the box")
 
 
 _HELP, _HELP_MOST = 0.2, 10.0  # share of the time limit for weaker claims, and the most [s]

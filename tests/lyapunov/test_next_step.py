@@ -55,7 +55,7 @@ def test_limits_are_said_not_to_act_exactly_where_they_do_not(seed: int) -> None
     d = Dynamics("held", "continuous", (State("x", -2.0, 2.0),), (rate,))
     edge = (limit / gain) ** 2  # V at which the saturation begins
     inside = limits_sentence(d, parse("x^2", X), 0.9 * edge, d)
-    assert "no limit (min, max) of the rates acts at" in inside
+    assert "no limit (min, max) in the dynamics acts at" in inside
     assert float(inside.rpartition("V = ")[2]) == pytest.approx(edge, rel=0.02)
     assert limits_sentence(d, parse("x^2", X), 1.1 * edge, d) == ""
     idle = replace(d, rates=(parse("max(-9, min(9, -x))", X),))

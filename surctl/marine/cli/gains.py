@@ -44,10 +44,11 @@ def gains() -> None:
 def derive(
     vehicle: str, cruise: float | None, margin: float | None, out: Path | None, force: bool, as_json: bool
 ) -> None:
-    """Derive gains from the mass, drag, thrust, lag and hull of a vehicle, and print the stability margins.
+    """Derive gains for a vehicle, and print the stability margins.
 
-    VEHICLE is the name of a built-in vehicle, or a vehicle file. If the derived gains miss the required margins at the
-    cruise speed, the exit status is 1, and the output gives the largest speed for which derived gains reach them.
+    VEHICLE is the name of a built-in vehicle, or a vehicle file; the gains follow from its mass, drag, thrust, lag and
+    hull. If the derived gains miss the required margins at the cruise speed, the exit status is 1, and the output gives
+    the largest speed for which derived gains reach them.
 
     Examples: surctl gains derive bluerov2-wu; surctl gains derive rov.toml --cruise 0.3 --out gains.toml
     """
@@ -64,7 +65,7 @@ def derive(
     lines = derivation.lines()
     if isinstance(contact, lib.SafetyClaim) and not contact.holds:
         at = f"at up to {contact['speed cap']:.3g} m/s in still water (true positions, barrier {contact.barrier})"
-        lines.append(f"  no contact with obstacles {at} does not hold: {contact.shortfall}")
+        lines.append(f"  the claim of no contact fails {at}: {contact.shortfall}")
     if derivation.reached and (slow := _slow(robot, derivation)) is not None and slow.short:
         lines.append(f"  {slow.sentence}")
     brief = [line.strip() for line in lines if not line.startswith("  ") or "no contact" in line or "below" in line]

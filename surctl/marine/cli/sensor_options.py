@@ -33,7 +33,7 @@ class SensorOptions:
         "--fault", "Such as stuck:0:5:2 (sonar 0 at 5 s for 2 s), thruster:T2.", (), metavar="FAULT"
     )
     chances: Sequence[str] = option(
-        "--chance", "Probability P per ping of fault KIND in a run; repeatable.", (), metavar="KIND=P"
+        "--chance", "Probability P that a ping has the fault KIND; repeatable.", (), metavar="KIND=P"
     )
     echoes: str | None = option("--echoes", "Sonar echoes: ideal (default), webots, specular, diffuse.", metavar="NAME")
 

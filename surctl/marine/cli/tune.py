@@ -26,7 +26,7 @@ class TunedMissions:
     """
 
     cruise: tuple[float, ...] | None = option(
-        "--cruise", "Cruise speeds [m/s] for loop goals without speeds.", type=SPEEDS, metavar="U1,U2,..."
+        "--cruise", "Cruise speeds [m/s] of loop goals that state none.", type=SPEEDS, metavar="U1,U2,..."
     )
     seeds: int = option(
         "--seeds", "Simulate each gain set with the seeds 0 to N-1 (default 4).", 4, type=Count(1, 1_000_000)
@@ -59,7 +59,7 @@ def tune(words: Sequence[str], options: TuneOptions, missions: TunedMissions, **
     tuned gains. Exit status: 1 if the gains miss a hard goal in the search or in the test, or if the output says FAIL.
 
     For FILE.py:FUNCTION, a system of your own, the search minimises the first cost or, with --goals, the largest soft
-    goal (value/bound). NAME=V1,V2 sets NAME to V1 in case 1, to V2 in case 2; in each case, the disk margin must be at
+    goal (value/bound). NAME=V1,V2 defines two cases, NAME = V1 and NAME = V2; in each case, the disk margin must be at
     least 0.3, and each cost that is not minimised must meet its bound.
 
     Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page

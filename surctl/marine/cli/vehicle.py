@@ -43,9 +43,10 @@ def thrusters(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Print the largest forces that the thrusters of a vehicle give on one axis at a time, and the share of the
-    vehicle's force limits that they give on all axes at once. With --force, print the force of each thruster for a
-    total force.
+    """Print the largest force of a vehicle's thrusters per axis.
+
+    Also print the share of the vehicle's force limits that the thrusters give on all axes at once. With --force, print
+    the force of each thruster for a total force.
 
     Examples: surctl vehicle thrusters bluerov2-heavy --out pictures; surctl vehicle thrusters bluerov2-heavy --failed
     T2 --force 40 30 0 5
@@ -172,10 +173,10 @@ vehicle.add_command(thrusters)
 @_over
 @as_json
 def from_geometry(mass: float, cd: float, out: Path | None, force: bool, as_json: bool, **numbers: Any) -> None:
-    """Write the file of a spherical vehicle: each parameter with its range and the source of its value.
+    """Write the file of a spherical vehicle from its dimensions.
 
-    For a hull that is not a sphere, fit the parameters to a log (surctl vehicle from-log), or write known parameters
-    into a file (surctl new vehicle).
+    Each parameter has a range and the source of its value. For a hull that is not a sphere, fit the parameters to a log
+    (surctl vehicle from-log), or write known parameters into a file (surctl new vehicle).
 
     Example: surctl vehicle from-geometry --name mine --diameter "40 cm" --mass "6 kg" --thrust 0.5kgf
     --yaw-thrust "0.4 N m"
@@ -204,11 +205,11 @@ def from_geometry(mass: float, cd: float, out: Path | None, force: bool, as_json
 def from_gazebo(
     model: Path, name: str, diameter: float, out: Path | None, force: bool, as_json: bool, **numbers: Any
 ) -> None:
-    """Write a vehicle file with mass, added mass and drag of a Gazebo model: SDF, or URDF of uuv_simulator.
+    """Write a vehicle file from a Gazebo model: SDF, or URDF of uuv_simulator.
 
-    surctl reads the plugin gz::sim::systems::Hydrodynamics, the element fluid_added_mass, and a hydrodynamic_model of
-    type fossen. The vehicle file has surge, sway, heave and yaw of the model, without roll and pitch. First expand a
-    xacro file: xacro FILE > robot.urdf.
+    surctl reads mass, added mass and drag from the plugin gz::sim::systems::Hydrodynamics, the element
+    fluid_added_mass, and a hydrodynamic_model of type fossen. The vehicle file has surge, sway, heave and yaw of the
+    model, without roll and pitch. First expand a xacro file: xacro FILE > robot.urdf.
 
     Example: surctl vehicle from-gazebo model.sdf --name auv --diameter 0.5 --thrust 40 --yaw-thrust 6
     """
@@ -265,9 +266,10 @@ class _Fitting:
 def from_log(
     logs: tuple[Path, ...], fitting: _Fitting, name: str, out: Path | None, force: bool, as_json: bool
 ) -> None:
-    """Fit masses, drag, thrust lag and a constant force to logs of motion and thrust, with 95 % intervals.
+    """Fit the parameters of a vehicle to logs of its motion.
 
-    Several logs of one vehicle give one fit; each log has its own initial state.
+    The parameters are masses, drag, thrust lag and a constant force, with 95 % intervals. Several logs of one vehicle
+    give one fit; each log has its own initial state.
 
     A log can be a table (CSV, .mat, .nc), as surctl simulate --save writes it: time t_s and commands Fu_N, Fv_N, Fw_N,
     Fr_N_m (constant until the next row), and any measured columns of x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s,

@@ -467,9 +467,9 @@ def _named(
 ) -> Gains:
     values, (disk, delay) = rule(vehicle, inner, cruise=cruise, dt=dt), margins
     reached = f"disk margin {disk:.2f}" if disk > 0 else "UNSTABLE"
-    reached += "" if disk >= LEAST_DISK_MARGIN else f", below {LEAST_DISK_MARGIN:g}"
+    reached += "" if disk >= LEAST_DISK_MARGIN else f" (below {LEAST_DISK_MARGIN:g})"
     if 0 < delay < LEAST_DELAY_MARGIN:
-        reached += f", delay margin {delay:.2f} s, below {LEAST_DELAY_MARGIN:g} s"
+        reached += f", delay margin {delay:.2f} s (below {LEAST_DELAY_MARGIN:g} s)"
     provenance = f"derived from the vehicle {vehicle.name} at {cruise:.3g} m/s, {reached}"
     return Gains("derived", {name: values[name] for name in GAINS}, provenance)
 
