@@ -182,7 +182,7 @@ def tune(
             journal.note_best(*request.so_far({}, "the start gains of a tuning without a finished trial"))
         used = 1 + max(c.seed for c in request.conditions)
         for k in range(rounds):
-            progress(f"round {k + 1} of at most {rounds}: {len(current.conditions)} run(s) per gain set")
+            progress(f"round {k + 1} of at most {rounds}: {len(current.conditions)} runs for each gain set")
             longer = 2 if done and _barren(done[-1]) else 1  # the last round added no counterexample
             searched = _searched(current, done, longer * trials, journal, progress)
             last, pool = _round(current, searched, runs, k, journal, progress, used=used)

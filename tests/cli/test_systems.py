@@ -581,7 +581,7 @@ def test_a_region_of_a_system_is_proved_and_its_words_are_checked(
     assert "not shown: dynamics: rate of x: it is not shown to be the expression of the instruction" in checked.output
     # without a function, the region is that of the sampled loop
     result = run("verify", "loop.py:build", "within.x=-2..2", "--out", "q")
-    assert "region of attraction of the sampled loop, with held commands:" in result.output
+    assert "region of attraction of the sampled loop with held commands " in result.output
     assert "  u = -2*x" in result.output and "  x' = x*x^2 + u" in result.output
     checked = run("check", "q/cart.json", "--bundle", "c")
     assert checked.exit_code == 0 and "delay: the command is assumed to act at the instant" in checked.output
