@@ -563,6 +563,13 @@ def test_the_study_of_the_slope_rule() -> None:
     assert int(claims) >= 8 and accepted.strip(" |") == "0"
 
 
+def test_the_study_of_the_slope_rule_for_a_cruise() -> None:
+    done = run(ANALYSIS / "46_slope_rule" / "cruise.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    [_, recorded, distance, *_] = table(done.stdout)[-1]
+    assert float(distance.split()[0]) >= 0.9 * float(recorded.split()[0])
+
+
 def test_the_study_of_the_tube_of_a_mission() -> None:
     done = run(ANALYSIS / "47_mission_tube" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr

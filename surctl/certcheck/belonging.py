@@ -29,8 +29,8 @@ from surctl.certcheck.law_points import Law, compare_braking, compare_following
 from surctl.certcheck.loop_dynamics import compare_dynamics
 from surctl.certcheck.patience import PATIENCE, patient
 from surctl.certcheck.steering import STEERED, STEERED_EXCLUDES, compare_steering
+from surctl.certcheck.turning_claim import TurningClaim
 from surctl.certcheck.turning_claim import read_claim as read_turning
-from surctl.certcheck.turning_law import Follower
 
 __all__ = ["Belonging", "compare"]
 _GROUND_TRUTH = (
@@ -249,7 +249,7 @@ class _Comparison(Comparison):
         self.conditions("vehicle", *_DISTURBED)
         self.conditions("motion", "curvature_per_m")
         self.take("motion")
-        self._follows(claim, claim.mass, claim.linear, claim.quadratic)
+        self._follows(claim)
 
     def steering(self) -> None:
         about, values = self.of("about"), self.manifest.values
@@ -366,11 +366,10 @@ class _Comparison(Comparison):
                 self.excludes.append(_GROUND_TRUTH if inputs[1] - inputs[0] != {"working"} else _STAGES)
         return laws
 
-    def _follows(self, claim: Any, *model: Sequence[Any]) -> None:
+    def _follows(self, claim: TurningClaim) -> None:
         yaw_rate = float(claim.yaw_rate)
         for law in self._laws(self.claim["sha256_law"]):
-            follower = Follower.of(claim, *model, law.gains["thrust_limit"][:2])
-            fastest = compare_following(law, follower, float(claim.wait), self.differs.append)
+            fastest = compare_following(law, claim, self.differs.append)
             if fastest > yaw_rate:
                 text = f"up to {yaw_rate!r} rad/s certified, the law may ask for {fastest:.3g} rad/s"
                 self.excludes.append(f"yaw rate: {text}")

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.braking import bound_distance
-from surctl.certcheck.braking_claim import BrakingClaim, GuardedLaw
+from surctl.certcheck.braking_claim import BrakingClaim
 from surctl.certcheck.bundle import Listed, Manifest, Port
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.elementary import Undefined
@@ -30,7 +30,8 @@ from surctl.certcheck.enclosure import enclose, middle, rational
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.instructions import evaluate, read_list
 from surctl.certcheck.patience import go_on
-from surctl.certcheck.turning_law import Follower, followed
+from surctl.certcheck.turning_claim import TurningClaim
+from surctl.certcheck.turning_law import followed, velocity_loop
 
 __all__ = [
     "Law", "Leg", "Report", "Same", "compare_braking", "compare_following", "leg_of", "report_difference", "values_at",
@@ -176,24 +177,24 @@ def values_at(names: Sequence[str], points: Array, texts: Mapping[str, str]) -> 
     return dict(zip(texts, np.array(rows).T, strict=True))
 
 
-def compare_following(law: Law, model: Follower, wait: float, report: Report) -> float:
+def compare_following(law: Law, claim: TurningClaim, report: Report) -> float:
     """Compare thrust in surge and sway and the motion of the target on a straight leg; return the largest yaw rate.
 
     Args:
         law: the exported law.
-        model: the certificate's model of the law, with the thrust limits of the law.
-        wait: distance behind the target at which the target stops [m].
+        claim: the claim about the law.
         report: function that gets one message if the law differs.
     """
     rng, leg, n = np.random.default_rng(11), leg_of(0.7, 40.0), _POINTS
-    x_e = rng.uniform(-1.2 * wait, 1.5 * model.cruise / model.k1, n)
-    y_e = rng.uniform(-2, 2, n) * model.lookahead
+    wait, cruise, cap = (float(x) for x in (claim.wait, claim.cruise, claim.cap))
+    x_e = rng.uniform(-1.2 * wait, 1.5 * cruise / float(claim.k1), n)
+    y_e = rng.uniform(-2, 2, n) * float(claim.lookahead)
     small = np.arange(n) % 2 == 0  # half of the points are near the steady motion, where no limit is reached
     x_e, y_e = np.where(small, 0.1 * x_e, x_e), np.where(small, 0.1 * y_e, y_e)
     psi = rng.uniform(-np.pi, np.pi, n)
-    spread = np.where(small, 0.05, 1.5) * model.cap * rng.uniform(-1, 1, (4, n))
+    spread = np.where(small, 0.05, 1.5) * cap * rng.uniform(-1, 1, (4, n))
     c, s = np.cos(psi), np.sin(psi)
-    nu = spread + np.vstack([model.cruise * c, -model.cruise * s, np.zeros((2, n))])
+    nu = spread + np.vstack([cruise * c, -cruise * s, np.zeros((2, n))])
     inputs = law.inputs(n, eta=leg.pose(x_e, y_e, psi, -3.0), nu=nu)
     over_ground = np.stack([x_e, y_e, c * nu[0] - s * nu[1], s * nu[0] + c * nu[1]], axis=1)
     x, fastest = law.state(n, progress=leg.progress), 0.0
@@ -201,8 +202,8 @@ def compare_following(law: Law, model: Follower, wait: float, report: Report) ->
         progress = law.part("state", x, "progress")[0]
         over_ground[:, 0] = x_e + leg.progress - progress
         outputs, after = law.step(x, inputs, **leg.mission(law))
-        claimed = followed(model, over_ground, psi).T
-        pace = model.cruise * np.clip(2 * (1 + over_ground[:, 0] / wait), 0, 1)
+        claimed = followed(claim, law.gains["thrust_limit"][:2], over_ground, psi).T
+        pace = cruise * np.clip(2 * (1 + over_ground[:, 0] / wait), 0, 1)
         moved = (law.part("state", after, "progress") - progress) / law.period
         for what, unit, first, second in (
             ("thrust", "N", claimed, outputs["tau"][:2]),
@@ -283,15 +284,8 @@ def _compare_approach(
         at_point = place.format(clearance[at], speed[at])
         report_difference(report, what, at_point, "m/s", claimed[at : at + 1], commanded[at : at + 1])
         return
-    thrust = _velocity_loop(claim.law, outputs["nu_reference"][:2], nu[:2], law.gains["thrust_limit"][:2])
+    thrust = velocity_loop(claim.law, law.gains["thrust_limit"][:2], outputs["nu_reference"][:2], nu[:2])
     if (apart := law.same.apart(thrust, outputs["tau"][:2])).any():
         at = int(np.argmax(apart))
         at_point = place.format(clearance[at], speed[at])
         report_difference(report, "thrust", at_point, "N", thrust[:, at], outputs["tau"][:2, at])
-
-
-def _velocity_loop(law: GuardedLaw, desired: Array, nu: Array, limit: Array) -> Array:
-    """Return the thrust (2, n) [N] that the claimed velocity loop commands in surge and sway."""
-    mass, linear, quadratic = (np.array(list(map(float, n)))[:, None] for n in (law.mass, law.linear, law.quadratic))
-    free = linear * desired + quadratic * desired * np.abs(desired) + mass * float(law.k_v) * (desired - nu)
-    return np.asarray(np.clip(free, -limit[:, None], limit[:, None]))

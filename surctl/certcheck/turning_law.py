@@ -1,61 +1,46 @@
-"""The path-following law of a certificate, at arrays of states."""
+"""The path-following law and the velocity loop of a certificate, at arrays of states."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Follower", "followed"]
+from surctl.certcheck.braking_claim import GuardedLaw
+from surctl.certcheck.turning_claim import TurningClaim
+
+__all__ = ["followed", "velocity_loop"]
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Follower:
-    """The numbers of the path-following law; SI units, pairs are (surge, sway)."""
-
-    k1: float
-    lookahead: float
-    cruise: float
-    cap: float
-    k_v: float
-    mass: tuple[float, ...]
-    linear: tuple[float, ...]
-    quadratic: tuple[float, ...]
-    thrust: tuple[float, ...]
-
-    @classmethod
-    def of(cls, claim: Any, *pairs: Iterable[Any]) -> Follower:
-        """Return the numbers of a claim, with the given pairs of mass, linear and quadratic drag, and thrust limit."""
-        mass, linear, quadratic, thrust = (tuple(map(float, pair)) for pair in pairs)
-        k1, lookahead, cruise, cap, k_v = (
-            float(getattr(claim, name)) for name in ("k1", "lookahead", "cruise", "cap", "k_v")
-        )
-        return cls(k1, lookahead, cruise, cap, k_v, mass, linear, quadratic, thrust)
-
-
-def followed(law: Follower, state: Array, psi: Array) -> Array:
+def followed(law: TurningClaim, limit: Sequence[Any] | Array, state: Array, psi: Array) -> Array:
     """Return the thrust (n, 2) [N] that a law commands on each axis of the body.
 
     Args:
-        law: the law.
+        law: the claim about the law.
+        limit: thrust limits (surge, sway) [N].
         state: (x_e, y_e, U_x, U_y) (n, 4), with the velocity U in the path frame.
         psi: angle (n,) from the path to the heading.
     """
     x_e, y_e, along, across = state.T
-    slant = np.sqrt(1 + (y_e / law.lookahead) ** 2)
-    speed = np.minimum(np.maximum(law.cruise - law.k1 * x_e, 0), law.cap / slant)
-    desired = speed, -speed * y_e / law.lookahead
+    k1, lookahead, cruise, cap = (float(x) for x in (law.k1, law.lookahead, law.cruise, law.cap))
+    slant = np.sqrt(1 + (y_e / lookahead) ** 2)
+    speed = np.minimum(np.maximum(cruise - k1 * x_e, 0), cap / slant)
     c, s = np.cos(psi), np.sin(psi)
-    nu = c * along + s * across, -s * along + c * across
-    in_body = c * desired[0] + s * desired[1], -s * desired[0] + c * desired[1]
-    thrusts = []
-    for i in (0, 1):
-        m, a, b, limit = law.mass[i], law.linear[i], law.quadratic[i], law.thrust[i]
-        free = a * in_body[i] + b * in_body[i] * np.abs(in_body[i]) + m * law.k_v * (in_body[i] - nu[i])
-        thrusts.append(np.clip(free, -limit, limit))
-    return np.stack(thrusts, axis=1)
+    desired, nu = (
+        np.array([c * first + s * second, -s * first + c * second])
+        for first, second in ((speed, -speed * y_e / lookahead), (along, across))
+    )
+    return velocity_loop(law, limit, desired, nu).T
+
+
+def velocity_loop(law: TurningClaim | GuardedLaw, limit: Sequence[Any] | Array, desired: Array, nu: Array) -> Array:
+    """Return the thrust (2, n) [N] in surge and sway, for desired and true velocities (2, n) in the body frame."""
+    mass, linear, quadratic, most = (
+        np.array(pair, dtype=float)[:, None] for pair in (law.mass, law.linear, law.quadratic, limit)
+    )
+    free = linear * desired + quadratic * desired * np.abs(desired) + mass * float(law.k_v) * (desired - nu)
+    return np.asarray(np.clip(free, -most, most))

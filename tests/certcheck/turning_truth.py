@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.turning_claim import TurningClaim
-from surctl.certcheck.turning_law import Follower, followed
+from surctl.certcheck.turning_law import followed
 
 Array = NDArray[np.float64]
 
 
 def commanded(claim: TurningClaim, state: Array, psi: Array) -> Array:
     """Return the thrust (n, 2) [N] that the law commands on each axis of the body; arguments as in `true_rate`."""
-    return followed(Follower.of(claim, claim.mass, claim.linear, claim.quadratic, claim.thrust), state, psi)
+    return followed(claim, claim.thrust, state, psi)
 
 
 def true_rate(
