@@ -53,7 +53,15 @@ NAMES = {
     "missions",
     "own-law",
     "project",
-    "questions",
+    "questions/code",
+    "questions/commands",
+    "questions/index",
+    "questions/proofs",
+    "questions/runs",
+    "questions/scope",
+    "questions/systems",
+    "questions/troubleshooting",
+    "questions/vehicles",
     "reference/equations",
     "reference/index",
     "region",
@@ -216,6 +224,13 @@ def test_its_links_lead_somewhere(guide: Path) -> None:
 def numbers(text: str) -> list[str]:
     """The numbers in it, without commas between thousands."""
     return re.findall(r"\d+(?:\.\d+)?", re.sub(r"(?<=\d),(?=\d{3})", "", text))
+
+
+def test_the_list_of_questions_has_each_question() -> None:
+    pages = {page for page in GUIDES if page.parent.name == "questions" and page.stem != "index"}
+    asked = [line[3:] for page in pages for line in page.read_text(encoding="utf-8").splitlines() if line[:3] == "## "]
+    listed = re.findall(r"^- \[(.*)\]\(\w+\.md#", (ROOT / "notebooks/guides/questions/index.md").read_text(), re.M)
+    assert len(asked) > 100 and sorted(listed) == sorted(asked)
 
 
 def test_the_figures_of_the_readme_stand_on_the_page_that_their_row_names() -> None:

@@ -129,7 +129,7 @@ def _boost(uri: str) -> float:
     """Return the weight of a page in the search: guides and tutorials come before reference and notebooks."""
     if uri.startswith(("reference/python/", "tutorials/notebooks/", "coming-from/")):
         return 0.5
-    return 1.0 if "/" in uri and not uri.startswith(("tutorials/", "explanation/")) else 3.0
+    return 1.0 if "/" in uri and not uri.startswith(("tutorials/", "explanation/", "questions/")) else 3.0
 
 
 def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
