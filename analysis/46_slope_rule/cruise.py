@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.enclosure import span
-from surctl.certcheck.region_claim import triangle
 from surctl.certcheck.region_exact import inverse
 from surctl.certcheck.slope_rows import Number, Rows
+from surctl.certcheck.turning import triangle
 from surctl.verification.formula import parse, values_of, variable
 
 Array = NDArray[np.float64]
