@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.certcheck.mission import funnel_of, read_claim
-from surctl.certcheck.region_claim import axis_pairs
-from surctl.certcheck.turning_claim import TurningClaim
+from surctl.certcheck.turning_claim import TurningClaim, axis_pairs
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import load_scenario
 from surctl.marine.vehicle import load_vehicle

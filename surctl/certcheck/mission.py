@@ -36,7 +36,6 @@ from surctl.certcheck import turning
 from surctl.certcheck.document import Rejected, record, seal
 from surctl.certcheck.fields import Pair, number, two
 from surctl.certcheck.patience import go_on
-from surctl.certcheck.region_claim import triangle
 from surctl.certcheck.region_exact import (
     Matrix,
     inverse,
@@ -216,7 +215,7 @@ def check(document: Mapping[str, Any]) -> None:
 
 def funnel_of(claim: TurningClaim, proof: Mapping[str, Any]) -> Funnel:
     """Return V and its steady cruise from a proof that the check of a `turning` certificate accepts."""
-    p = triangle(proof["P"], 6 if claim.lag[1] else 4, "proof.P")
+    p = turning.triangle(proof["P"], 6 if claim.lag[1] else 4, "proof.P")
     covariance, shells = inverse(p), turning.shells_of(claim, proof)
     return Funnel(
         p,

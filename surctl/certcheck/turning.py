@@ -20,7 +20,6 @@ from typing import Any
 
 from surctl.certcheck.document import Rejected, listed, record
 from surctl.certcheck.fields import Pair, number, two
-from surctl.certcheck.region_claim import axis_pairs, read_shells, triangle
 from surctl.certcheck.region_exact import (
     Matrix,
     inverse,
@@ -30,11 +29,11 @@ from surctl.certcheck.region_exact import (
     root_up,
 )
 from surctl.certcheck.turning_cells import Setting, Trim, check_shell, heading_cells, steady
-from surctl.certcheck.turning_claim import TurningClaim, read_claim
+from surctl.certcheck.turning_claim import TurningClaim, axis_pairs, read_claim
 from surctl.certcheck.turning_form import Extent, Form, Phase
 from surctl.certcheck.turning_terms import STILL, coupled_mass, other_forces, other_moment
 
-__all__ = ["check", "cruise_of", "require_bound", "require_starts", "shells_of"]
+__all__ = ["check", "cruise_of", "require_bound", "require_starts", "shells_of", "triangle"]
 
 _MOST_SHELLS = 24
 _CELLS = (4, 96)  # least and largest number of cells of headings
@@ -75,9 +74,34 @@ def check(document: Mapping[str, Any]) -> None:
             check_shell(setting, bounds, form, phase, shell)
 
 
+def triangle(rows: Any, size: int, where: str) -> Matrix:
+    """Return the symmetric matrix (size, size) whose lower triangle has the given rows."""
+    shaped = isinstance(rows, list) and all(isinstance(row, list) for row in rows)
+    if not shaped or [len(row) for row in rows] != list(range(1, size + 1)):
+        raise Rejected(f"{where} must be a lower triangle with {size} rows")
+    lower = [[number(entry, where, least=-(10**9)) for entry in row] for row in rows]
+    return [[lower[max(i, j)][min(i, j)] for j in range(size)] for i in range(size)]
+
+
 def shells_of(claim: TurningClaim, proof: Mapping[str, Any]) -> list[tuple[Fraction, ...]]:
-    """Return (low, high, growth, rate) of each shell from the floor to V = 1, see `read_shells`."""
-    return read_shells(proof, _MOST_SHELLS, claim.rate)
+    """Return (low, high, growth, rate) of each shell: its levels of V, its η [1/s], and the decay rate in it [1/s].
+
+    The shells divide V from the floor to 1. The rate is the claimed one, or a higher rate that the shell states.
+    """
+    shells = proof["shells"]
+    if not isinstance(shells, list) or not 1 <= len(shells) <= _MOST_SHELLS:
+        raise Rejected(f"proof.shells must hold 1 to {_MOST_SHELLS} shells")
+    low, read = number(proof["floor"], "proof.floor", above=True), list[tuple[Fraction, ...]]()
+    for entry in shells:
+        faster = isinstance(entry, dict) and "rate" in entry
+        one = record(entry, ("level", "growth", "rate") if faster else ("level", "growth"), "a shell")
+        high = number(one["level"], "the level of a shell", least=low, above=True)
+        pace = number(one["rate"], "the rate of a shell", least=claim.rate) if faster else claim.rate
+        read.append((low, high, number(one["growth"], "the growth of a shell"), pace))
+        low = high
+    if low != 1:
+        raise Rejected("the last shell must end at level 1")
+    return read
 
 
 def _phases(claim: TurningClaim, proof: Mapping[str, Any]) -> tuple[Fraction | None, list[Phase]]:
@@ -111,18 +135,10 @@ def _flow(claim: TurningClaim, value: Any) -> tuple[Pair, Pair, Pair]:
     return first, second, third
 
 
-def _slopes(value: Any) -> Pair:
-    return two(value, "proof.trim", least=-(10**9))
-
-
-def _coefficients(claim: TurningClaim, proof: Mapping[str, Any]) -> tuple[Pair, tuple[Pair, Pair, Pair]]:
-    """Return the coefficients of ω, and those of the gains of the current."""
-    return _slopes(proof["trim"]), _flow(claim, proof["flow"]) if claim.current else STILL
-
-
 def cruise_of(claim: TurningClaim, proof: Mapping[str, Any]) -> Trim:
     """Return the steady cruise of a proof that `check` accepts."""
-    return steady(claim, *_coefficients(claim, proof))
+    slopes = two(proof["trim"], "proof.trim", least=-(10**9))
+    return steady(claim, slopes, _flow(claim, proof["flow"]) if claim.current else STILL)
 
 
 def require_starts(claim: TurningClaim, p: Matrix, moved: Pair, beside: Fraction, rest: Fraction | None = None) -> None:

@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
-from typing import Any
+from typing import Any, TypeVar
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.fields import Pair, number, ordered, placed, read_fields, read_top, two, zero
-from surctl.certcheck.region_claim import axis_pairs
 
-__all__ = ["EXCLUDES", "TurningClaim", "drag_factors", "read_claim"]
+__all__ = ["EXCLUDES", "TurningClaim", "axis_pairs", "drag_factors", "read_claim"]
+
+Number = TypeVar("Number", float, Fraction)
 
 _TERM = re.compile("m[1-4][1-4]|[XYZN][uvwr]{1,2}|[XYZN]0|F[uvwr]_reverse")
 _EQUATION_3 = {
@@ -138,6 +139,18 @@ class TurningClaim:
     def behind(self) -> bool:
         """Whether the thrust may differ from the present command: by a lag, or because a command is held."""
         return bool(self.lag[1] or self.period)
+
+
+def axis_pairs(ends: tuple[Number, Number], asymmetry: Number) -> list[tuple[Number, Number]]:
+    """Return the vertices of {(a, b): least ≤ a, b ≤ largest, |a − b| ≤ asymmetry (a + b)/2}.
+
+    The numbers lie between t and t ratio for some t, so at a vertex each is one of the two, for the least or largest t.
+    """
+    least, largest = low, high = ends
+    if asymmetry < 2:
+        ratio = (2 + asymmetry) / (2 - asymmetry)
+        low, high = max(largest / ratio, least), min(least * ratio, largest)
+    return sorted({(least, least), (least, high), (high, least), (largest, largest), (largest, low), (low, largest)})
 
 
 def drag_factors(claim: TurningClaim) -> list[tuple[Fraction, ...]]:

@@ -32,8 +32,7 @@ from numpy.typing import NDArray
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.fields import Pair
-from surctl.certcheck.region_claim import axis_pairs
-from surctl.certcheck.turning_claim import TurningClaim, drag_factors
+from surctl.certcheck.turning_claim import TurningClaim, axis_pairs, drag_factors
 
 __all__ = [
     "STILL",

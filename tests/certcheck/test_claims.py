@@ -15,7 +15,7 @@ import pytest
 from surctl.certcheck import braking_claim, check_document, turning_claim
 from surctl.certcheck.document import Rejected, seal
 from surctl.certcheck.fields import number
-from surctl.certcheck.region_claim import axis_pairs
+from surctl.certcheck.turning_claim import axis_pairs
 from tests.certcheck.altering import put, value_of
 
 READERS: dict[str, tuple[Callable[[Any], Any], str]] = {

@@ -15,11 +15,10 @@ import pytest
 
 from surctl.certcheck import check_document
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_claim import axis_pairs, triangle
 from surctl.certcheck.region_exact import inverse, quadratic
-from surctl.certcheck.turning import _check_munk_moment, cruise_of, require_starts
+from surctl.certcheck.turning import _check_munk_moment, cruise_of, require_starts, triangle
 from surctl.certcheck.turning_cells import Setting, Trim, _lack, heading_cells, steady
-from surctl.certcheck.turning_claim import drag_factors, read_claim
+from surctl.certcheck.turning_claim import axis_pairs, drag_factors, read_claim
 from surctl.certcheck.turning_form import Extent, Form, axes_of
 from surctl.certcheck.turning_terms import coupling_of, inverse_masses, other_forces, other_moment, turn_points
 from surctl.marine.control import build_law, load_gains

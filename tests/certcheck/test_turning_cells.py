@@ -15,8 +15,8 @@ import pytest
 
 from surctl.certcheck import turning_cells
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_claim import triangle
 from surctl.certcheck.region_exact import inverse
+from surctl.certcheck.turning import triangle
 from surctl.certcheck.turning_cells import Setting, Trim, _lack, check_shell, steady
 from surctl.certcheck.turning_claim import TurningClaim, read_claim
 from surctl.certcheck.turning_form import Extent, Form, Phase, axes_of

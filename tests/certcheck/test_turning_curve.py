@@ -11,8 +11,7 @@ import pytest
 
 from surctl.certcheck import check_document
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_claim import triangle
-from surctl.certcheck.turning import _flow
+from surctl.certcheck.turning import _flow, triangle
 from surctl.certcheck.turning_claim import read_claim
 from surctl.certcheck.turning_form import Form, Phase, axes_of
 from surctl.certcheck.turning_matrix import Inclusion

@@ -14,9 +14,8 @@ import pytest
 
 from surctl.certcheck import check_document
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_claim import read_shells, triangle
 from surctl.certcheck.region_exact import largest_eigenvalue
-from surctl.certcheck.turning import _flow, _phases, _slopes, require_bound, require_starts
+from surctl.certcheck.turning import _flow, _phases, cruise_of, require_bound, require_starts, shells_of, triangle
 from surctl.certcheck.turning_claim import TurningClaim, read_claim
 from surctl.certcheck.turning_form import lipschitz
 from surctl.certcheck.turning_terms import outer_force
@@ -51,10 +50,10 @@ def test_a_matrix_is_a_triangle_of_lists(rows: object) -> None:
         triangle(rows, 2, "P")
 
 
-@pytest.mark.parametrize("shells", [None, "a", {}, [], [{"level": 1.0, "growth": 0.1}] * 3])
+@pytest.mark.parametrize("shells", [None, "a", {}, [], [{"level": 1.0, "growth": 0.1}] * 25])
 def test_shells_are_a_list_of_at_least_one_and_not_too_many(shells: object) -> None:
-    with pytest.raises(Rejected, match="must hold 1 to 2 shells"):
-        read_shells({"floor": 0.1, "shells": shells}, 2, Fraction(1, 50))
+    with pytest.raises(Rejected, match="must hold 1 to 24 shells"):
+        shells_of(CLAIM, {"floor": 0.1, "shells": shells})
 
 
 def test_the_largest_eigenvalue_is_rounded_up() -> None:
@@ -117,9 +116,9 @@ def test_with_late_thrust_a_flow_is_0(row: int) -> None:
 
 @pytest.mark.parametrize("bad", [[1.0], [1.0, 2.0, 3.0], (1.0, 2.0), {"a": 1.0, "b": 2.0}])
 def test_a_trim_has_two_entries(bad: Any) -> None:
-    assert _slopes([1.0, 2.0]) == TWO
+    assert cruise_of(CLAIM, {"trim": [0.01, 0.02]}).slopes == (Fraction(1, 100), Fraction(1, 50))
     with pytest.raises(Rejected):
-        _slopes(bad)
+        cruise_of(CLAIM, {"trim": bad})
 
 
 def placed(**entries: float) -> list[list[Fraction]]:

@@ -7,9 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck.region_claim import axis_pairs
 from surctl.certcheck.turning_cells import Trim
-from surctl.certcheck.turning_claim import TurningClaim, drag_factors
+from surctl.certcheck.turning_claim import TurningClaim, axis_pairs, drag_factors
 from tests.certcheck.turning_truth import commanded, true_rate
 
 Array = NDArray[np.float64]

@@ -27,8 +27,7 @@ from surctl.marine.verification.region import (
     refused_regions,
     region_statement,
 )
-from surctl.marine.verification.region.nominal import uncertain_cruise
-from surctl.marine.verification.region.rates import level_ratios
+from surctl.marine.verification.region.nominal import level_ratios, uncertain_cruise
 from surctl.marine.verification.region.turning_loop import selected, steady_turning, vertices
 from surctl.marine.verification.region.turning_shells import excess_of, worst_rate
 from surctl.verification.conic import minimise, symmetric_basis

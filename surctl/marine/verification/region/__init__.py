@@ -7,10 +7,9 @@ from surctl.marine.verification.region.library import (
     refused_regions,
     region_statement,
 )
-from surctl.marine.verification.region.proof import RegionProof, prove_turning
+from surctl.marine.verification.region.proof import RegionProof, prove_steering, prove_turning
 from surctl.marine.verification.region.statement import RegionStatement, load_region, write_region
 from surctl.marine.verification.region.steering import SteeringClaim
-from surctl.marine.verification.region.steering_proof import prove_steering
 from surctl.marine.verification.region.turning import TurningClaim
 
 __all__ = [

@@ -14,10 +14,9 @@ from surctl.files import read_toml
 from surctl.marine.control import Gains, build_law
 from surctl.marine.guidance import Guidance
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification.region.proof import RegionProof, prove_turning
+from surctl.marine.verification.region.proof import RegionProof, prove_steering, prove_turning
 from surctl.marine.verification.region.statement import RegionStatement
 from surctl.marine.verification.region.steering import SteeringClaim
-from surctl.marine.verification.region.steering_proof import prove_steering
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.units import towards
 

@@ -1,15 +1,20 @@
-"""The loop of a region certificate as dynamics: of the nominal vehicle for pictures, of any for the falsifier."""
+"""The loop of a region certificate as dynamics: of the nominal vehicle for pictures, of any for the falsifier.
+
+Also how far the level is below the least one at which V decays too slowly, or a thrust saturates.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.lyapunov import Dynamics, Range, State
+from surctl.lyapunov.dynamics import exact
+from surctl.lyapunov.falsified import least_where
 from surctl.lyapunov.slope_search import form_of, quadratic
 from surctl.verification.formula import Node, number, parse, variable
 
@@ -115,3 +120,31 @@ def _cruise(claim: Mapping[str, Any], known: Mapping[str, Node]) -> tuple[tuple[
         })  # fmt: skip
     rates = ("along", "across", "c*rate_0 - s*rate_1", "s*rate_0 + c*rate_1")
     return tuple(parse(text, names) for text in rates), (names["load_0"], names["load_1"])
+
+
+class LevelRatios(NamedTuple):
+    """Certified level divided by the least level where V̇ > −a V was found, and by the level of thrust saturation."""
+
+    falsifier: float
+    thrust: float
+
+    @property
+    def sentence(self) -> str:
+        """Return a sentence that states both ratios."""
+        return (
+            f"certified level: {self.falsifier:.0%} of the smallest level with a counterexample, {self.thrust:.0%} of "
+            "the level at which thrust saturates" + (", so no thrust limit acts in it" if self.thrust < 1 else "")
+        )
+
+
+def level_ratios(document: Mapping[str, Any]) -> LevelRatios:
+    """Return the ratios of the region V ≤ 1 of a certificate without lag, held commands and disturbances.
+
+    The search can miss counterexamples, so the true ratio of the certified level to the smallest level with a
+    counterexample may be larger.
+    """
+    d, function, loads = uncertain_cruise(document)
+    rise = d.change(function) + exact(document["claim"]["motion"]["rate_per_s"]) * function
+    saturated = min(least_where(d, function, load - number(1)) for load in loads)
+    # inside the certified region, level 1, there is no counterexample
+    return LevelRatios(1 / least_where(d, function, rise, floor=1.0), 1 / saturated)

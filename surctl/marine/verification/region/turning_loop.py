@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck import Rejected
-from surctl.certcheck.region_claim import axis_pairs
 from surctl.certcheck.turning_cells import Cells, Setting, cells_of, steady
+from surctl.certcheck.turning_claim import axis_pairs
 from surctl.certcheck.turning_form import Extent, Form, Phase
 from surctl.certcheck.turning_matrix import Inclusion
 from surctl.certcheck.turning_terms import other_forces

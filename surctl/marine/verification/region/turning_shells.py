@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck import seal
-from surctl.certcheck.region_claim import axis_pairs
+from surctl.certcheck.turning_claim import axis_pairs
 from surctl.certcheck.turning_form import Form
 from surctl.certcheck.turning_matrix import Entries, Inclusion, indefinite
 from surctl.certcheck.turning_terms import other_moment
