@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import matplotlib.pyplot as plt  # noqa: TID251
 import pytest
 
 import surctl
@@ -120,7 +121,7 @@ def test_formulas_commands_keys_and_terms_are_set(site: Path) -> None:
 
 @pytest.mark.usefixtures("tools")
 def test_formulas_of_docstrings_are_set_and_words_are_not() -> None:
-    from formulas import as_mathml
+    from formulas import as_mathml, with_mathml
     from prose_math import mark_formulas
     from unicode_math import as_tex
 
@@ -132,8 +133,42 @@ def test_formulas_of_docstrings_are_set_and_words_are_not() -> None:
     shown = as_mathml(as_tex("q = √(y_e² + Δ²)/‖ẋ‖"))
     assert "<msqrt>" in shown and "<msubsup>" in shown and 'accent="true"' in shown
     assert "{" not in as_mathml("R_{OB} e^{-x}")
+    assert as_mathml(as_tex("‖e‖²")).count('stretchy="false"') == 2
+    shown = with_mathml(r'<div class="arithmatex">\[a = {b \qquad c}, \qquad d\]</div>')
+    assert shown.startswith('<div class="formulas">') and shown.count("<math") == 2
     with pytest.raises(ValueError, match="frac"):
         as_mathml(r"\frac{1}")
+
+
+def test_no_heading_goes_on_into_the_text_below_it(site: Path) -> None:
+    headings = re.compile(r"<h[1-4][ >].*?</h[1-4]>", re.DOTALL)
+    wrong = [
+        (path.name, heading[:60])
+        for path in sorted(site.rglob("*.html"))
+        for heading in headings.findall(path.read_text(encoding="utf-8"))
+        if "{ #" in heading or len(re.sub(r"<[^>]*>", "", heading)) > 130
+    ]
+    assert wrong == []
+
+
+@pytest.mark.usefixtures("tools")
+def test_words_of_commands_stay_whole() -> None:
+    need_module("material")
+    from command_pages import _plain
+    from hooks import with_shared_names
+    from wrapping import with_whole_words
+
+    assert _plain("With --goals FILE, NAME=VALUE and `surctl check`: a_b") == (
+        r"With `--goals FILE`, `NAME=VALUE` and `surctl check`: a\_b"
+    )
+    shown = with_whole_words("<p><code>surctl sweep --seeds 9</code> <code>analysis/08_sweep_scale/run.py</code></p>")
+    assert '<code>surctl sweep <span class="whole">--seeds</span> 9</code>' in shown
+    assert "<code>analysis/<wbr>08_sweep_scale/<wbr>run.py</code>" in shown
+    block = '<div class="language-text highlight"><pre><span></span><code>{}\n</code></pre></div>'
+    assert with_whole_words(block.format("| (1)-(3) |")) == block.format("| (1)-(3) |")  # a drawing does not wrap
+    assert 'class="language-console' in with_whole_words(block.format("python analysis/run.py --quick"))
+    shared = '<b><code><span title="a">start,</span></code></b> (<code><span title="b">end</span></code>)'
+    assert with_shared_names(shared) == "<b><code>start, end</code></b>"
 
 
 @pytest.mark.usefixtures("tools")
@@ -173,14 +208,32 @@ def test_an_example_runs_and_draws(name: str, monkeypatch: pytest.MonkeyPatch) -
 
     need_compiler()
     blank_pictures(monkeypatch)
+    plt.figure("before")  # as of an example that ran before in the process of the build
     shown = run_example(name)
+    assert "before" not in plt.get_figlabels()
     assert shown.printed.strip() and shown.picture.startswith(b"\x89PNG")
 
 
 # cells of tables beside the screen of a phone: a row is a card there
 _HIDDEN = """() => [...document.querySelectorAll("td[data-label]")]
   .filter((cell) => cell.getBoundingClientRect().right > innerWidth).map((cell) => cell.textContent)"""
-PAGES = ("index", "explanation/priorities", "reference/files/vehicle", "gallery/index")
+PAGES = (
+    "index", "404", "explanation/priorities", "reference/equations", "reference/files/region",
+    "reference/commands/export", "tutorials/own-vehicle", "studies/index", "gallery/index",
+)  # fmt: skip
+# options and short names in tables that go over two lines, and headings whose link makes a line of its own
+_BROKEN = """() => {
+  const short = [...document.querySelectorAll("td code")].filter((code) => /^\\S{1,24}$/.test(code.textContent));
+  const all = [...document.querySelectorAll("article .whole"), ...short];
+  const words = all.filter((word) => word.getClientRects().length > 1);
+  const heads = [...document.querySelectorAll("article :is(h1, h2, h3):has(> .headerlink)")].filter((head) => {
+    const text = document.createRange();
+    text.setStart(head, 0); text.setEndBefore(head.querySelector(".headerlink"));
+    return head.querySelector(".headerlink").getBoundingClientRect().bottom > text.getBoundingClientRect().bottom + 6;
+  });
+  return [...words, ...heads].map((element) => element.textContent);
+}"""
+_SIZES = "['h1', 'h2', 'h3'].map((name) => document.querySelector(`article ${name}`)).filter(Boolean)"
 
 
 def test_pages_fit_and_can_be_read_in_both_schemes(site: Path) -> None:
@@ -197,6 +250,11 @@ def test_pages_fit_and_can_be_read_in_both_schemes(site: Path) -> None:
                     continue
                 for width in (1280, 400):
                     assert opened.overflow(width) <= 0, (name, width)
+                    assert opened.page.evaluate(_BROKEN) == [], (name, width)
+                    sizes = opened.page.evaluate(
+                        f"{_SIZES}.map((head) => -parseFloat(getComputedStyle(head).fontSize))"
+                    )
+                    assert sizes == sorted(set(sizes)), (name, width)  # a lower heading is smaller
                 assert opened.page.evaluate(_HIDDEN) == [], name
         search(opened, "exit status 1")  # lunr as it comes raises an error for digits
         opened.page.select_option("select.versions", "0.1")  # which has no such page

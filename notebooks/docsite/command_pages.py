@@ -63,9 +63,29 @@ def _option(parameter: click.Parameter, context: click.Context) -> tuple[str, st
     return None if record is None or not record[1] else (f"`{record[0]}`", _plain(record[1]))
 
 
+_WORDS = re.compile(
+    r"(?<![\w-])--[a-z][\w-]*(?:(?: |=)[A-Z]{1,9}\b)?"  # --option VALUE
+    r"|(?<!\w)[\w/-]+\.(?:py|toml|csv|nc|md|gif|mp4|html|tsv|json)(?::\w+)?"  # FILE.py:FUNCTION
+    r"|(?<!\w)[\w.]+=[A-Z\d][\w.,:]*\w"  # NAME=VALUE
+    r"|(?<!\w)[a-z]+\.[A-Z]{2,}\b"  # plant.NAME
+)
+
+
 def _plain(text: str) -> str:
-    """Return text that Markdown shows as it is; words like FILE.toml and NAME=VALUE are set as code."""
-    return re.sub(r"([\[\]*_>|])", r"\\\1", text).replace("<", "&lt;")  # Markdown has no escape for <
+    """Return text that Markdown shows as it is; words like FILE.toml, NAME=VALUE and --option are set as code."""
+
+    def shown(part: str) -> str:
+        return re.sub(r"([\[\]*_>|])", r"\\\1", part).replace("<", "&lt;")  # Markdown has no escape for <
+
+    out = []
+    for k, part in enumerate(text.split("`")):
+        if k % 2:
+            out.append(f"`{part}`")
+            continue
+        words = _WORDS.findall(part)
+        between = _WORDS.split(part)
+        out += [shown(between[0]), *(f"`{word}`{shown(rest)}" for word, rest in zip(words, between[1:], strict=True))]
+    return "".join(out)
 
 
 def _paragraphs(text: str) -> str:

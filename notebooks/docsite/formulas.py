@@ -25,8 +25,21 @@ LAST = 20  # equations of the paper
 
 def with_mathml(html: str) -> str:
     """Return the page with MathML in place of TeX; ValueError names a formula that cannot be converted."""
-    html = _BLOCK.sub(lambda found: as_mathml(found[1], block=True), html)
+    html = _BLOCK.sub(lambda found: _formulas(found[1]), html)
     return _INLINE.sub(lambda found: as_mathml(found[1]), html)
+
+
+def _formulas(tex: str) -> str:
+    """Return displayed formulas; on a narrow screen, those that `\\qquad` separates are set below each other."""
+    parts = [""]
+    for piece in re.split(r"\\qquad", tex):
+        whole = parts[-1].count("{") == parts[-1].count("}") and parts[-1].count(r"\begin") == parts[-1].count(r"\end")
+        if parts[-1] and whole:
+            parts.append(piece)
+        else:
+            parts[-1] += rf"\qquad{piece}" if parts[-1] else piece
+    shown = "".join(as_mathml(part, block=True) for part in parts)
+    return shown if len(parts) == 1 else f'<div class="formulas">{shown}</div>'
 
 
 def as_mathml(tex: str, *, block: bool = False) -> str:
@@ -38,7 +51,7 @@ def as_mathml(tex: str, *, block: bool = False) -> str:
 
 
 def _accents(mathml: str) -> str:
-    """Set the index of an accented letter beside it: docutils sets it below."""
+    """Set the index of an accented letter beside it: docutils sets it below. Bars of a norm keep the height of text."""
     ElementTree.register_namespace("", _SPACE)
     tree = ElementTree.fromstring(_ENTITY.sub(lambda found: html5.get(found[1], found[0]), mathml))
     for stacked in list(tree.iter(f"{{{_SPACE}}}munderover")):
@@ -48,6 +61,9 @@ def _accents(mathml: str) -> str:
             over.extend((letter, accent))
             stacked.tag = f"{{{_SPACE}}}msub"
             stacked[:] = [over, index]
+    for bar in tree.iter(f"{{{_SPACE}}}mo"):
+        if bar.text in ("‖", "|", "∥"):
+            bar.set("stretchy", "false")
     return ElementTree.tostring(tree, encoding="unicode")
 
 

@@ -64,8 +64,10 @@ def _inside(folder: Path) -> Iterator[None]:
 def run_example(name: str) -> Shown:
     """Run an example in an empty folder, in this process."""
     import matplotlib as mpl
+    import matplotlib.pyplot as plt
 
     mpl.use("agg")
+    plt.close("all")  # an example that plots without a figure of its own would go on with that of the one before
     printed = io.StringIO()
     with tempfile.TemporaryDirectory() as folder, _inside(Path(folder)), contextlib.redirect_stdout(printed):
         runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")

@@ -26,6 +26,7 @@ from mkdocs.structure.files import File, Files  # noqa: E402
 from notebook_pages import notebook_pages  # noqa: E402
 from prose_math import mark_formulas  # noqa: E402
 from unicode_math import as_tex  # noqa: E402
+from wrapping import LONGEST, with_whole_words  # noqa: E402
 
 import surctl  # noqa: E402
 
@@ -136,16 +137,25 @@ def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
     """Set formulas as MathML, and link equation numbers and terms of the glossary."""
     uri = page.file.src_uri
     html = with_mathml(html)
-    html = re.sub(r"<img (?![^>]*class=)(?=[^>]*\.(?:png|svg))", '<img class="plot" loading="lazy" ', html)
+    html = re.sub(r"<img (?![^>]*class=)(?=[^>]*\.(?:png|svg|gif))", '<img class="plot" loading="lazy" ', html)
     # a click shows a picture in its full size
     html = re.sub(r'(<img class="plot"[^>]* src="([^"]+)"[^>]*>)(?!</?strong)', r'<a href="\2">\1</a>', html)
     up = "../" * uri.count("/")
     if uri.startswith("reference/python/"):
         html = mark_formulas(html, lambda formula: as_mathml(as_tex(formula)))
         html = equation_links(html, f"{up}reference/equations.html")
+        html = with_shared_names(html)
     if not uri.startswith(("reference/python/", "studies/", "glossary", "changelog")):
         html = link_terms(html, _TERMS, f"{up}glossary.html")
-    return _TABLE.sub(_labelled, html)
+    return with_whole_words(_TABLE.sub(_labelled, html))
+
+
+def with_shared_names(html: str) -> str:
+    """Join names that share a line of a docstring: its parser takes the second one for the type of the first."""
+    return _SHARED.sub(lambda found: f"<b><code>{found[1]} {re.sub(r'<[^>]*>', '', found[2])}</code></b>", html)
+
+
+_SHARED = re.compile(r"<b><code>(?:<span[^>]*>)?([^<]*,)(?:</span>)?</code></b>\s*\(<code>(.*?)</code>\)", re.DOTALL)
 
 
 _TABLE = re.compile(r"<table>.*?</table>", re.DOTALL)
@@ -157,9 +167,13 @@ def _labelled(table: re.Match[str]) -> str:
 
     def row(found: re.Match[str]) -> str:
         columns = iter(heads)
-        return re.sub(r"<td(?=[ >])", lambda cell: f'<td data-label="{_attribute(next(columns, ""))}"', found[0])
+        cells = re.sub(r"<td(?=[ >])", lambda cell: f'<td data-label="{_attribute(next(columns, ""))}"', found[0])
+        return _LONG_KEY.sub(r'\1 class="long"\2', cells)
 
     return re.sub(r"<tr>.*?</tr>", row, table[0], flags=re.DOTALL)
+
+
+_LONG_KEY = re.compile(rf"(<tr>\s*<td[^>]*)(>\s*<code>[^<]{{{LONGEST + 1},}}</code>)")  # may wrap
 
 
 def _attribute(text: str) -> str:
@@ -174,6 +188,29 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
     about = f'data-version="{surctl.__version__}" data-page="{page.file.dest_uri}" data-root="{up}"'
     scripts = f'<script src="{up}../versions.js"></script><script src="{up}assets/versions.js" {about}></script>'
     return output.replace("</body>", f"{scripts}</body>")
+
+
+def on_post_template(output: str, template_name: str, config: Any) -> str:
+    """Let the page for a wrong address open from a folder, too: a server sends it for an address of any depth."""
+    if template_name != "404.html":
+        return output
+    output = re.sub(r'\b(href|src)="/(?!/)', r'\1="', output)
+    output = output.replace('"base": "/"', '"base": "."').replace('"search": "/', '"search": "')
+    output = output.replace("<h1>404 - Not found</h1>", _NOT_FOUND)
+    output = output.replace("<head>", f"<head><script>{_ROOT_OF_LINKS}</script>", 1)
+    return re.sub(r'(<script id="__config".*?</script>)', rf"\1<script>{_ROOT_OF_SEARCH}</script>", output, count=1)
+
+
+_NOT_FOUND = (
+    "<h1>This page does not exist</h1><p>The address is wrong, or of another version. "
+    'Search for the subject, or begin at the <a href="index.html">start page</a>.</p>'
+)
+_SERVED = 'if (location.protocol !== "file:")'
+_ROOT_OF_LINKS = _SERVED + " document.write('<base href=\"/\">')"
+_ROOT_OF_SEARCH = (
+    f'{_SERVED} {{ const own = document.getElementById("__config"); '
+    'own.textContent = own.textContent.replace(\'"base": "."\', \'"base": "/"\') }'
+)
 
 
 def on_post_build(config: Any) -> None:

@@ -105,7 +105,8 @@ def reached(known: dict[str, Path], first: list[Page], guides: Path) -> list[Pag
                 found[uri] = Page(uri, _title(path), _text(path), path)
             else:
                 name = path.relative_to(ROOT).as_posix()
-                text = f"{_UNSEARCHED}# {name}\n\n````{_NAMES.get(path.suffix, 'text')}\n{_text(path).rstrip()}\n````\n"
+                head = name.replace("/", "/<wbr>")
+                text = f"{_UNSEARCHED}# {head}\n\n````{_NAMES.get(path.suffix, 'text')}\n{_text(path).rstrip()}\n````\n"
                 found[uri] = Page(uri, name, text, path)
     return list(found.values())
 

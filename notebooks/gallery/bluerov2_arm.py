@@ -82,7 +82,7 @@ figure, axes = plt.subplots(2, 1, sharex=True, layout="constrained")
 for label, path in paths.items():
     for ax, k in zip(axes, (0, 1), strict=True):
         ax.plot(time, np.array(path)[:, k], label=label)
-axes[0].set_ylabel("tool off by [mm]")
+axes[0].set(title="tool and hull in a gust", ylabel="tool off by [mm]")
 axes[1].set(ylabel="hull off by [mm]", xlabel="time [s]")
 axes[0].legend()
 figure.savefig("bluerov2_arm.png")

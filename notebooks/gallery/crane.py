@@ -53,17 +53,18 @@ if __name__ == "__main__":
     for name, low, high in zip(claim.dynamics.names, *claim.dynamics.box, strict=True):
         print(f"  {name} from {low:.2f} to {high:.2f}")
     # starts on the border in the plane of position and speed, with the controller's state at 0
-    turn = np.linspace(0, 2 * np.pi, 25)
+    turn = np.linspace(0, 2 * np.pi, 97)
     x = np.zeros((len(claim.dynamics.names), len(turn)))
     x[:2] = np.cos(turn), np.sin(turn)
     x *= np.sqrt(claim.level / np.asarray(claim.dynamics.compiled(claim.function)(x, np.full((1, len(turn)), 10.0))))
     plt.plot(*x[:2], lw=2)
     ends = []
-    for k, (pos, vel) in enumerate(x[:2, ::3].T):
+    for k, (pos, vel) in enumerate(x[:2, ::12].T):
         run = run_system(system, 30.0, {"start.pos": pos, "start.vel": vel, "plant.load": 9.0 if k % 2 else 11.0})
         plt.plot(run["pos"][:, 0], run["vel"][:, 0], color="0.6", lw=0.8)
         ends.append(abs(run["pos"][-1, 0]))
     print(f"{len(ends)} runs from the border: after 30 s, at most {1e3 * max(ends):.1f} mm from the target")
     plt.xlabel("pos [m]")
     plt.ylabel("vel [m/s]")
+    plt.title("border of the proved region, and solutions from it")
     plt.savefig("crane.png")

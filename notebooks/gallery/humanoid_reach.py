@@ -89,9 +89,11 @@ for at, colour in zip(shown, ("C0", "C1", "C2", "C3"), strict=True):
         while (above := body.parent(line[-1])) not in (None, "world"):
             line.append(above)
         space.plot(*np.transpose([body.pose(link, at)[:3, 3] for link in line]), color=colour)
+space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title="poses at the targets")
 space.set_aspect("equal")
 space.locator_params(nbins=4)
 plane.plot(*np.transpose(centres), label="centre of mass")
 plane.add_patch(plt.Rectangle(LOW, HIGH[0] - LOW[0], HIGH[1] - LOW[1], fill=False, ls=":"))
+plane.set_title("centre of mass over the feet")
 plane.legend()
 figure.savefig("humanoid_reach.png")

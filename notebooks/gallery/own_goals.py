@@ -49,5 +49,6 @@ bars = GoalBars(
     result.place[1],
 )
 ax = plot_goal_bars(bars)
-ax.set_title("normalised goals: default gains and the fast set", loc="left")
+for text, name in zip(ax.get_legend().get_texts(), names, strict=True):
+    text.set_text(name)
 ax.figure.savefig("own_goals.png")

@@ -60,10 +60,12 @@ space, plane = figure.add_subplot(121, projection="3d"), figure.add_subplot(122,
 for k in range(0, 601, 100):
     points = [arm.pose(name, q[k])[:3, 3] for name in arm.links]
     space.plot(*np.transpose(points), "o-", ms=3, color=plt.cm.viridis(k / 600))
+space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title="poses, one per second")
 space.set_aspect("equal")
 space.locator_params(nbins=4)
 for label, values in runs.items():
     plane.plot(DT * np.arange(len(values)), values, label=label)
 plane.axhline(1e3 * MARGIN, color="k", ls=":")
+plane.set_title("least distance")
 plane.legend()
 figure.savefig("panda_reach.png")

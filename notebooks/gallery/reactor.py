@@ -59,7 +59,7 @@ if __name__ == "__main__":
     for name, low, high in zip(claim.dynamics.names, *claim.dynamics.box, strict=True):
         print(f"  {name} from {low:.3g} to {high:.3g}")
     # starts on the border in the plane of concentration and temperature, with the integrator at rest
-    turn = np.linspace(0, 2 * np.pi, 49)
+    turn = np.linspace(0, 2 * np.pi, 97)
     ring = np.zeros((3, len(turn)))
     ring[:2] = 0.1 * np.cos(turn), 5.0 * np.sin(turn)
     level = claim.dynamics.compiled(claim.function)
@@ -67,11 +67,12 @@ if __name__ == "__main__":
         ring *= np.sqrt(claim.level / np.asarray(level(ring, np.zeros((0, len(turn))))))
     plt.plot(*ring[:2], lw=2)
     ends = []
-    for conc, temp in ring[:2, ::6].T:
+    for conc, temp in ring[:2, ::12].T:
         run = run_system(system, 10.0, {"start.conc": conc, "start.temp": temp})
         plt.plot(run["conc"][:, 0], run["temp"][:, 0], color="0.6", lw=0.8)
         ends.append(abs(run["temp"][-1, 0]))
     print(f"{len(ends)} runs from the border: after 10 min, at most {max(ends):.2g} K from the operating point")
     plt.xlabel("conc [mol/l]")
     plt.ylabel("temp [K]")
+    plt.title("border of the proved region, and solutions from it")
     plt.savefig("reactor.png")

@@ -69,10 +69,12 @@ space, plane = figure.add_subplot(121, projection="3d"), figure.add_subplot(122,
 links = [*(f"left{k}" for k in range(7)), *(f"right{k}" for k in reversed(range(7)))]
 for k in shown:
     space.plot(*np.transpose([arms.pose(link, q[k])[:3, 3] for link in links]), "o-", ms=3)
+space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title="poses at the targets")
 space.set_aspect("equal")
 space.locator_params(nbins=4)
 plane.plot(DT * np.arange(len(gaps)), gaps, label="least gap")
 plane.plot(DT * np.arange(len(slip)), slip, label="slip of the bar")
 plane.axhline(1e3 * MARGIN, color="k", ls=":")
+plane.set_title("gap and slip")
 plane.legend()
 figure.savefig("two_arms.png")

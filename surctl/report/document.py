@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from html import escape
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -181,7 +183,13 @@ def template(name: str) -> Template:
         trim_blocks=True,
         keep_trailing_newline=True,
     )
+    environment.filters["whole"] = _whole
     return environment.get_template(name)
+
+
+def _whole(text: str) -> str:
+    # as HTML; browsers break a line after a hyphen, also inside --option
+    return re.sub(r"(?<!\S)--?\w[\w-]*", r'<span class="whole">\g<0></span>', escape(text))
 
 
 def render_sections(

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from surctl.lyapunov import Dynamics
-from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, ROBOT, dress, grid_of
+from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, ROBOT, dress, grid_of, head
 from surctl.system.plant import runge_kutta
 from surctl.verification.formula import Node
 
@@ -58,6 +58,7 @@ def plot_motion(dynamics: Dynamics, function: Node, *, level: float, falsified: 
         else:
             _plane(ax, dynamics, function, plane, level, falsified)
     figure, columns = axes[0].figure.figure, min(len(planes) + 1, 3)
+    head(figure, f"{dynamics.name}: certified region")
     handles = [
         Line2D([], [], color=GOOD, lw=1.8, label=f"V = {level:.4g}, certified"),
         Line2D([], [], color=MUTED, lw=0.8, label="solutions from the boundary"),
@@ -79,6 +80,7 @@ def _plane(
     values = _values(dynamics, function, points).reshape(_GRID, _GRID)
     dress(ax, x=_label(dynamics, i), y=_label(dynamics, j))
     ax.grid(visible=False)
+    ax.locator_params(axis="x", nbins=7)  # more numbers of three decimals touch each other
     if not dynamics.discrete:
         few = np.arange(_GRID)[_GRID // (2 * _ARROWS) :: _GRID // _ARROWS]
         rates = dynamics.evaluate(points)[[i, j]].reshape(2, _GRID, _GRID)[:, few[:, None], few]

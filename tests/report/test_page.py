@@ -143,6 +143,11 @@ def test_many_runs_do_not_make_the_page_grow_without_end(monkeypatch: pytest.Mon
 
 
 @pytest.mark.usefixtures("blank")
+def test_no_option_of_a_command_is_broken_at_its_hyphens() -> None:
+    page = render_page(bare(command="surctl study --out 'a b'"))
+    assert '<code>surctl study <span class="whole">--out</span> &#x27;a b&#x27;</code>' in page
+
+
 def test_names_are_escaped_and_never_run() -> None:
     evil = """<script>alert('1')</script>"$x_{&amp;}$ 潜\n"""
     base = run()

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle, Wedge
 
 from surctl.errors import InputError
+from surctl.lyapunov import Dynamics, State
 from surctl.marine.control import build_law
 from surctl.marine.guidance import Path as Route
 from surctl.marine.report import plot_run, save_run
@@ -18,13 +19,14 @@ from surctl.marine.report.signals import plot_run_signals, spans
 from surctl.marine.simulation import Run, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import law_loop
-from surctl.report import margin_slice, plot_counterexample, plot_heat_map, plot_parallel, plot_slice
+from surctl.report import margin_slice, plot_counterexample, plot_heat_map, plot_motion, plot_parallel, plot_slice
 from surctl.report.evidence import _sense, plot_replay
 from surctl.report.page_parts import plot_tightest
 from surctl.report.system_plots import plot_sobol_indices
 from surctl.report.theme import BAD, printable, save_figure
 from surctl.tuning import SobolIndices, SweepTable
 from surctl.verification import evaluate, replay, system_margins
+from surctl.verification.formula import parse, variable
 from tests.pictures import rendered
 from tests.report.data import GAINS, report, run, sweep, swept, vehicle, verdict
 
@@ -72,6 +74,24 @@ def test_the_plan_view_holds_what_was_flown() -> None:
     assert not any(isinstance(p, Wedge) for p in plot_run(run()).patches)
     way = np.concatenate([s for c in ax.collections for s in c.get_segments()])
     assert len(way) == 2 * (len(flown.record.time) - 1)
+
+
+def test_the_legend_names_only_what_is_drawn() -> None:
+    near = replace(load_scenario("tank-speed-010"), obstacles=(), time_limit=2.0)
+    for flown, present in ((run(), True), (simulate(near, vehicle(), gains=GAINS), False)):
+        legend = plot_run(flown).get_legend()
+        assert legend is not None
+        assert ("obstacle" in {text.get_text() for text in legend.get_texts()}) == present
+        assert ("avoiding" in {text.get_text() for text in legend.get_texts()}) == present
+
+
+def test_the_picture_of_a_region_has_its_name() -> None:
+    names = {name: variable(name) for name in ("x", "y")}
+    states = (State("x", -0.1, 0.1, "m/s"), State("y", -3.0, 3.0, "m"))
+    loop = Dynamics("spring", "continuous", states, (parse("-x - y", names), names["x"]))
+    figure = plot_motion(loop, parse("x^2 + y^2", names), level=0.005)
+    assert figure.get_suptitle() == "spring: certified region"
+    assert len(figure.axes[0].get_xticks()) <= 8
 
 
 def test_the_plan_view_says_where_the_depth_was_changed() -> None:

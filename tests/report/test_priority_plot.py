@@ -87,6 +87,7 @@ def test_the_picture_has_a_lane_a_level_and_bars_where_rows_hold_back() -> None:
     drawn = [path.get_extents() for bars in rows.collections for path in bars.get_paths()]
     begins = found.time[np.argmax(found.binding.any(axis=1) | (found.missed > NOTICEABLE).any(axis=1))]
     assert min(box.x0 for box in drawn) == pytest.approx(begins)
+    assert all(min(bars.get_linewidths()) >= 1.0 for bars in rows.collections)  # a bar of one period is seen
     assert [ax.texts[0].get_text() for ax in levels if ax.texts] == ["no residual"] * 2
 
 

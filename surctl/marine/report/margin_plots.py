@@ -21,8 +21,13 @@ def plot_disk_margins(loops: Sequence[tuple[OpenLoop, DiskMargin]], *, highest: 
     """
     figure = new_figure(9.6, 4.3)
     left, right = figure.subplots(1, 2)
-    dress(left, x="frequency [rad/s]", y="disk margin α at that frequency [1]")
-    dress(right, x="factor on all gains [1]", y="phase on all loops, either sign [deg]")
+    dress(left, title="Disk margin over frequency", x="frequency [rad/s]", y="disk margin α at that frequency [1]")
+    dress(
+        right,
+        title="Below a line: tolerated by all loops at once",
+        x="factor on all gains [1]",
+        y="phase on all loops, either sign [deg]",
+    )
     omega = np.geomspace(1e-2, highest, 300)
     for k, (loop, margin) in enumerate((a, b) for a, b in loops if b.stable):
         judged = np.isfinite(margin.guaranteed)
@@ -40,7 +45,6 @@ def plot_disk_margins(loops: Sequence[tuple[OpenLoop, DiskMargin]], *, highest: 
     right.set_ylim(bottom=0.0)
     right.plot(1.0, 0.0, "+", color=INK, markersize=10, clip_on=False)
     legend_above(left, columns=3)
-    right.set_title("below a line: tolerated by all loops at once", loc="left", fontsize=9, color=INK)
     return figure
 
 

@@ -294,12 +294,14 @@ def _add_legend(ax: Axes, run: Run) -> None:
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=INK, linestyle="--", linewidth=1.1, label="path"),
         Line2D([], [], color=ROBOT, linewidth=1.8, label="trajectory"),
-        Line2D([], [], color=AVOIDING, linewidth=3.4, label="avoiding"),
         Line2D([], [], color=INK, marker="s", markerfacecolor="white", linestyle="none", label="start"),
         Line2D([], [], color=GOOD, marker="*", markersize=11, linestyle="none", label="target"),
         Line2D([], [], color=ROBOT, marker="o", markerfacecolor="none", markersize=9, linestyle="none", label="hull"),
-        Patch(facecolor=OBSTACLE, edgecolor=INK, alpha=0.75, label="obstacle"),
     ]
+    if np.any(run.telemetry("avoiding") > 0.5):
+        handles.insert(2, Line2D([], [], color=AVOIDING, linewidth=3.4, label="avoiding"))
+    if any(run.record.obstacles):
+        handles.append(Patch(facecolor=OBSTACLE, edgecolor=INK, alpha=0.75, label="obstacle"))
     if depth_changes(run):
         edges = [patheffects.withStroke(linewidth=3.4, foreground=AVOIDING)]
         handles.append(Line2D([], [], color="white", linewidth=1.2, path_effects=edges, label="at another depth"))

@@ -239,5 +239,5 @@ def _draw_rows(ax: Axes, timeline: PriorityTimeline, rows: list[int]) -> None:
 
 
 def _bars(ax: Axes, time: NDArray[np.float64], on: NDArray[np.bool_], place: int, colour: str, alpha: float) -> None:
-    bars = [(begin, max(end - begin, 1e-3)) for begin, end in spans(time, on)]
-    ax.broken_barh(bars, (place - 0.32, 0.64), facecolors=colour, alpha=alpha, linewidth=0.0, zorder=2)
+    bars = [(begin, end - begin) for begin, end in spans(time, on)]  # the edge shows also a bar of one control period
+    ax.broken_barh(bars, (place - 0.32, 0.64), color=colour, alpha=alpha, linewidth=1.5, zorder=2)

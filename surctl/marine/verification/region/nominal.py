@@ -52,7 +52,7 @@ def nominal_motion(document: Mapping[str, Any]) -> tuple[Dynamics, Node]:
         rates, _ = _cruise(claim, known | dict.fromkeys(_FACTORS, number(1)) | {"s": number(0)})
     else:
         rates = tuple(parse(claim["dynamics"][name], known) for name in units)
-    dynamics = Dynamics("region", "continuous", states, rates, ranges)
+    dynamics = Dynamics(claim.get("name", "cruise"), "continuous", states, rates, ranges)
     return dynamics, quadratic(dynamics, p)
 
 
