@@ -209,7 +209,7 @@ class RobotOptions:
     )
     priority_mode: str = option(
         "--priority-mode",
-        "Priority mode: nsb (default) solves then clips; filter, projected, lexicographic solve within limits.",
+        "Task priorities: nsb (default) clips results to limits; filter, projected, lexicographic solve within limits.",
         "nsb",
         metavar="M",
     )
