@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import pickle
 import re
@@ -333,7 +334,9 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
             problem, remedy = "unknown key", nearest(str(first["loc"][-1]), known)
             value = None
         elif first["type"] == "model_type" and first["ctx"]["class_name"] == "Quantity":
-            problem, remedy = "must be a value with its unit", 'write { value = ..., unit = "..." }'
+            finite = not isinstance(value, float) or math.isfinite(value)
+            problem = "must be a value with its unit" if finite else "is not a finite number"
+            remedy = 'write { value = ..., unit = "..." }'
         elif first["type"] == "model_type" and first["loc"][:-1] in texts:
             problem, remedy = "must be a text or a table", 'write "NAME", or { key = "NAME" }'
         elif first["type"] in ("model_type", "dict_type"):
@@ -486,12 +489,18 @@ def file_name(name: str) -> str:
     )
 
 
+_COMMAND = re.compile(rb"....tEXtDescription\0.*?(?=IDAT)", re.DOTALL)  # in a PNG file, see `report.theme.save_figure`
+
+
 def changes(folder: Path) -> Callable[[], list[str]]:
-    """Return a function that returns the names of the files that are in a folder now, and have other contents then."""
+    """Return a function that returns the names of the files that are in a folder now, and have other contents then.
+
+    The command that a picture names is no part of its contents: it can be written in several ways.
+    """
 
     def contents() -> dict[str, str]:
         files = (file for file in folder.iterdir() if file.is_file() and os.access(file, os.R_OK))
-        return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+        return {file.name: hashlib.sha256(_COMMAND.sub(b"", file.read_bytes())).hexdigest() for file in files}
 
     def changed() -> list[str]:
         after = contents()

@@ -142,7 +142,7 @@ def in_unit(value: float, unit: str, target: str) -> float:
     share (unit 1).
 
     Raises:
-        InputError: the unit is unknown or has another dimension.
+        InputError: the unit is unknown or has another dimension, or the value is not finite.
 
     Example:
         >>> from surctl.units import in_unit
@@ -153,7 +153,9 @@ def in_unit(value: float, unit: str, target: str) -> float:
         return value
     import pint
 
-    remedy = f"give it in {target}"
+    if not math.isfinite(value):
+        raise InputError("is not a finite number", value=value, remedy=f"give a number in {target}")
+    remedy = f'give it in {target}, for instance "{value:g} {target}"'
     if not unit.strip():
         raise InputError("has no unit", value=value, remedy=remedy)
     if len(unit) > _MOST or not _UNIT.fullmatch(unit):

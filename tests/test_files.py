@@ -9,10 +9,12 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from pydantic import Field, model_validator
 
 from surctl.errors import InputError
-from surctl.files import Quantity, Strict, load_model, pick, read_toml, validate, write_file
+from surctl.files import Quantity, Strict, changes, load_model, pick, read_toml, validate, write_file
 
 
 class _Part(Strict):
@@ -212,3 +214,18 @@ def test_a_boolean_is_no_number(key: str, value: object, place: str) -> None:
     with pytest.raises(InputError, match=rf"f\.toml: {place} = (True|False): must be a number; write it in digits"):
         validate({key: value}, _Numbers, file="f.toml")
     assert validate({"switch": True, "one": 1}, _Numbers, file="f.toml").switch is True
+
+
+def test_the_command_that_a_picture_names_is_no_part_of_its_contents(tmp_path: Path) -> None:
+    def draw(colour: str, command: str) -> None:
+        text = PngInfo()
+        text.add_text("Software", "surctl.report")
+        text.add_text("Description", command)
+        Image.new("RGB", (9, 9), colour).save(tmp_path / "run.png", pnginfo=text)
+
+    draw("red", "surctl simulate pond.toml --out plots")
+    changed = changes(tmp_path)
+    draw("red", "surctl simulate ./pond.toml --out ../pond/plots --verbose")
+    assert changed() == []
+    draw("blue", "surctl simulate pond.toml --out plots")
+    assert changed() == ["run.png"]

@@ -45,6 +45,10 @@ def test_the_same_unit_changes_no_bit(value: float) -> None:
 
 def test_a_number_without_dimension_needs_no_unit() -> None:
     assert in_unit(1.0, "", "1") == 1.0 and in_unit(0.5, "1", "1") == 0.5
+    with pytest.raises(InputError, match=r'give it in N m, for instance "0\.6 N m"'):
+        in_unit(0.6, "Nm", "N m")
+    with pytest.raises(InputError, match="is not a finite number; give a number in m"):
+        in_unit(float("nan"), "", "m")
     with pytest.raises(InputError, match=r"has no unit; give it in m"):
         in_unit(1.0, "", "m")
 

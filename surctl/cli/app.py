@@ -123,11 +123,6 @@ _COMMANDS = {  # in the order in which a newcomer needs them; a description fits
 }
 
 
-def _columns() -> int:
-    """Return the width of help: all columns of the terminal (click leaves two empty), at most 100."""
-    return max(50, min(shutil.get_terminal_size().columns, 100))
-
-
 def main() -> None:
     """Run the command line on `sys.argv` and exit with its status.
 
@@ -164,7 +159,8 @@ def main() -> None:
 
 def _status() -> int:
     try:
-        status = app(prog_name="surctl", standalone_mode=False, terminal_width=_columns())
+        columns = max(50, min(shutil.get_terminal_size().columns, 100))  # click leaves two of the terminal empty
+        status = app(prog_name="surctl", standalone_mode=False, terminal_width=columns)
         sys.stdout.flush()
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message())

@@ -274,7 +274,7 @@ def finish(
         lines: all lines.
         as_json: print `result` in place of the lines.
         passed: whether the result is as expected.
-        then: commands to suggest next, the most useful one first.
+        then: commands to suggest next, the most useful one first; an export only if `passed`.
         brief: what decides, most important first; None: the lines that are not indented.
         files: what was written where.
         whole: print all lines in any case, as for the text of a file.
@@ -283,6 +283,7 @@ def finish(
     if (known := context.meta.get(_FOLDER)) is not None and (replaced := known[1]()):
         text = "contained results of another command, which this command replaced"
         progress(f"{known[0]} {text}: {', '.join(replaced)}")
+    then = [command for command in then if passed or not command.startswith("surctl export ")]
     lost: Counter[str] = context.meta.get(_LOST_FILES, Counter())
     if lost.total() > len(lost):
         print_message(f"{lost.total() - len(lost)} more not saved, for the same reason")
@@ -475,12 +476,17 @@ def noting_interrupts() -> Iterator[None]:
         _raised.clear()
 
 
+def warnings_in(lines: Sequence[str]) -> list[str]:
+    """Return the indented warnings among lines, for a summary."""
+    return [line.strip() for line in lines if line.startswith("  warning: ")]
+
+
 def refusal_line(refused: lib.Inapplicable) -> str:
     """Return one line for a claim that is not applicable."""
     return f"n/a  {refused.claim:<22} {refused.sentence}"
 
 
-def same_command(**changed: int) -> str:
+def same_command(**changed: object) -> str:
     """Return the command line of this process, quoted for a shell, with the values of some options replaced."""
     words, typed = [], iter(sys.argv[1:])
     for word in typed:

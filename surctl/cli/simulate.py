@@ -12,7 +12,7 @@ import click
 from surctl.cli import lib
 from surctl.cli.application import to_application
 from surctl.cli.options import out_folder
-from surctl.cli.output import as_json, finish, prepare_out, progress, saving, stoppable
+from surctl.cli.output import as_json, finish, prepare_out, progress, saving, stoppable, warnings_in
 from surctl.cli.subject import OwnSystem, assigned, is_system, load_system, seconds_option
 from surctl.errors import InputError, check_known
 
@@ -60,6 +60,7 @@ def conduct_runs(
     above: Sequence[str] = (),
     series: Callable[[Sequence[Mapping[str, Any]]], list[str]] | None = None,
     short: bool = False,
+    beside: str = "",
 ) -> None:
     """Simulate runs, print what they show, and end the command; Ctrl-C prints the finished ones.
 
@@ -71,6 +72,7 @@ def conduct_runs(
         above: lines above all others.
         series: returns lines about several runs of a case, which are what decides of them.
         short: whether these lines take the place of those of the runs.
+        beside: text beside the folder.
     """
     done, lines, brief = list[Ran](), list(above), list[str]()
     message = "the run was not finished" if single else "to begin at another seed: --seed N"
@@ -90,7 +92,7 @@ def conduct_runs(
             if series is not None and len(done) - first > 1:
                 brief[said:] = [line.strip() for line in series([one.data for one in done[first:]])]
     data = done[0].data if series is None else {"runs": [one.data for one in done]}
-    files = [] if out is None else [f"files {out}"]
+    files, brief = [] if out is None else [f"files {out}{beside}"], [*brief, *warnings_in(lines)]
     passed, then = all(one.passed for one in done), [command for one in done[:1] for command in one.then]
     finish(data, lines, as_json=as_json, passed=passed, then=then, brief=brief, files=files)
 

@@ -217,12 +217,16 @@ def is_system(words: Sequence[str]) -> bool:
     return True
 
 
+_STARTS_FROM = "a search starts from the gains that FILE.py states as defaults: write the tuned ones there, and drop it"
+
+
 def refuse_others(what: str) -> None:
     """Raise InputError if an option of an application is given, which does not apply to `what`."""
     own = own_parameters(click.get_current_context().command)
     for option in typed("gains"):  # a table of gains replaces gains of a system, too
         if isinstance(option, click.Option) and option not in own:
-            raise InputError(f"does not apply to {what}", key=option.opts[0], remedy="drop it")
+            remedy = _STARTS_FROM if option.opts[0] == "--gains" else "drop it"
+            raise InputError(f"does not apply to {what}", key=option.opts[0], remedy=remedy)
 
 
 def load_system(words: Sequence[str]) -> OwnSystem:

@@ -57,7 +57,8 @@ def as_records(law: Exportable, records: AnyRecord) -> Records:
         records = Records(*records.controller)
     if not isinstance(records, Records):
         rows = list(records)
-        records = Records(*(_stack([row[k] for row in rows]) for k in range(3)))
+        columns = ([as_numbers(row[k], key="records").reshape(-1) for row in rows] for k in range(3))
+        records = Records(*(np.array(column, dtype=float) for column in columns))
     steps = len(records.X)
     if steps == 0:
         raise InputError("holds no step", key="records", remedy="record at least one step of the law")
@@ -67,10 +68,6 @@ def as_records(law: Exportable, records: AnyRecord) -> Records:
         _sized(records.U, steps, law.inputs.size, "records.U"),
         _sized(P, steps, law.gains.size, "records.P"),
     )
-
-
-def _stack(rows: list[ArrayLike]) -> Vector:
-    return np.array([as_numbers(r, key="records").reshape(-1) for r in rows], dtype=float)
 
 
 def _sized(array: ArrayLike, steps: int, size: int, key: str) -> Vector:

@@ -54,7 +54,7 @@ from surctl.export.supplement import (
     longest_gap,
     wiring_values,
 )
-from surctl.ir import Layout, Parts, Port, Program, Real, c_literal, memory
+from surctl.ir import Parts, Port, Program, Real, c_literal, memory
 from surctl.ir.c99 import C_TYPE
 from surctl.ir.c99_program import PRAGMA, inline_helpers, own_helpers, program_lines
 from surctl.ir.c99_routine import emit_parts
@@ -327,7 +327,11 @@ def _values(
         "dt": repr(float(law.dt)) if real == "float64" else f"{np.float32(law.dt)!s}f",
         "period": repr(float(law.dt)),
         "status": status_table(law),
-        **_elapsed(law, literal),
+        "restart": RESTART,
+        "longest_gap": longest_gap(law.dt),
+        "aged": aged_runs(law, literal),
+        "anew": forgotten_runs(law, literal),
+        "forgotten": forgotten(law),
         **(gains_values(law, real) if law.gains.size else {}),
         "structs": _structs(law),
         "state": law.state,
@@ -359,7 +363,7 @@ def _values(
         "initial": _runs(law.initial_state(), text=literal),
         "gain_values": [literal(float(v)) for v in gains],
         "gain_indices": [f"{name}_gain_{port.name} = {at + 1}" for port, at in starts(law.gains)],
-        "gain_table": _gain_table(law.gains, gains),
+        "gain_table": [(p, ", ".join(repr(float(v)) for v in gains[law.gains.slice(p.name)])) for p in law.gains],
         "direct": isinstance(law.block, Program),
         "changing": _changing(law.block) if isinstance(law.block, Program) else [],
         "results": _results(law, law.block) if isinstance(law.block, Program) else [],
@@ -374,16 +378,6 @@ def _values(
         "test_state": [run for row in tests.state for run in _runs(row, text=partial(_decimal, real=real))],
         "test_status": ", ".join(str(s) for s in tests.status),
         "flags": " ".join(FLAGS),
-    }
-
-
-def _elapsed(law: Exportable, literal: Callable[[float], str]) -> dict[str, Any]:
-    return {
-        "restart": RESTART,
-        "longest_gap": longest_gap(law.dt),
-        "aged": aged_runs(law, literal),
-        "anew": forgotten_runs(law, literal),
-        "forgotten": forgotten(law),
     }
 
 
@@ -492,7 +486,3 @@ def _rows(table: Vector, real: Real) -> list[str]:
 def _decimal(value: float, real: Real) -> str:
     # the sign of a zero is left out, because it is not compared
     return repr(value + 0.0) if real == "float64" else f"{np.float32(value + 0.0)!s}f"
-
-
-def _gain_table(layout: Layout, gains: Vector) -> list[tuple[Port, str]]:
-    return [(port, ", ".join(repr(float(v)) for v in gains[layout.slice(port.name)])) for port in layout]

@@ -389,13 +389,16 @@ class Mission:
         sensed = "by sonar" if self.sensed == "sonar" else "with true positions"
         kind: dict[str, Any] = {"sonar": self.sensed == "sonar", "barrier": self.barrier, "movers": self.movers}
         claims = [judged_contact(*each, self.gains, **kind, spread=self.uncertainty) for each in met]
+        ranged = any(one.range is not None for one in self.vehicle.parameters.values())
+        over = "over the ranges of the vehicle file" if ranged else "at the exact values of the vehicle file"
+        over = over if self.uncertainty is None else f"over ±{self.uncertainty:.0%} of mass and drag"
         lines = []
         for (scenario, _), claim in zip(met, claims, strict=True):
             if isinstance(claim, Inapplicable):
                 lines.append(Line(None, f"no contact in {scenario.name} {sensed}: {claim.sentence}", "runs"))
                 continue
             how = f"holds for obstacles {claim.obstacles}: margin {claim['margin']:g} m, "
-            how += f"needed {claim['margin needed']:.3g} m"
+            how += f"needed {claim['margin needed']:.3g} m {over}, without thrust or speed sideways"
             end = how if claim.holds else f"does not hold: {claim.shortfall}"
             lines.append(Line(claim.holds, f"no contact in {scenario.name} {claim.sensed} {end}", "runs"))
         spare = [(c["margin"] - c["margin needed"], c.scenario) for c in claims if isinstance(c, SafetyClaim)]

@@ -73,12 +73,13 @@ def _loop_panels(
                 time, value, _ = step_series(loop, source, end)
                 steps.append(Curve(time, value, name, k, "line", faint))
     w = "frequency [rad/s]"
+    nyquist.append(Curve(np.cos(_CIRCLE), np.sin(_CIRCLE), "", 4, faint=True))
     panels = [
         Panel(f"Loop gain |L|, opened at {opening}", w, "|L| [dB]", gain, log_x=True),
         Panel(f"Phase of L, opened at {opening}", w, "phase [deg]", phase, log_x=True),
         Panel("Sensitivity |S|", w, "|S| [dB]", S, log_x=True, limits=(None, (-40.0, 12.0)), note=_unstable(loops)),
         Panel("Complementary sensitivity |T|", w, "|T| [dB]", T, log_x=True, limits=(None, (-40.0, 12.0))),
-        Panel("Nyquist curve", "real part of L", "imaginary part of L", [*nyquist, _unit()],
+        Panel("Nyquist curve", "real part of L", "imaginary part of L", nyquist,
               marks=[(-1.0, 0.0, "-1")], limits=((-3.0, 1.5), (-2.0, 2.0)), equal=True, regions=[_FORBIDDEN],
               note=f"in the shaded disk, the disk margin of this loop is below {LEAST_DISK_MARGIN:g}"),
     ]  # fmt: skip
@@ -275,10 +276,6 @@ def _db(values: Array) -> Array:
     return np.asarray(20 * np.log10(np.maximum(values, 1e-12)), dtype=float)
 
 
-def _unit() -> Curve:
-    return Curve(np.cos(_CIRCLE), np.sin(_CIRCLE), "", 4, faint=True)
-
-
 def _unstable(loops: Loops) -> str:
     lost = [name for name, loop in loops.items() if not loop.stable]
     return f"not stable, so not shown: {', '.join(lost)}" if lost else ""
@@ -341,7 +338,7 @@ def page(bench: DesignBench, *, nonce: str, token: str) -> str:
         nonce: value that allows the page's own script and no other.
         token: secret that the page sends with each request.
     """
-    loop = _first_loop(bench)
+    loop = bench.loop({one.name: one.value for one in bench.sliders}, bench.points[0])
     start, end = _default_step(loop)
     about = {
         "sliders": [_slider(one) for one in bench.sliders],
@@ -364,11 +361,6 @@ def page(bench: DesignBench, *, nonce: str, token: str) -> str:
         gains=[one.name for one in bench.sliders],
         points=bench.points,
     )
-
-
-def _first_loop(bench: DesignBench) -> LinearLoop:
-    """Return the loop at the first operating point with the initial gains."""
-    return bench.loop({one.name: one.value for one in bench.sliders}, bench.points[0])
 
 
 def respond(bench: DesignBench, path: str, request: Request) -> dict[str, Any]:

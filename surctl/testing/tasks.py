@@ -149,7 +149,8 @@ class _Check:
         results = self.at(values)
         for what, part in zip(("sigma", "J"), results, strict=False):
             if not np.isfinite(part).all():
-                self._fail(f"{what} is not finite in row {_first_bad(part)}", values)
+                row = np.flatnonzero(~np.isfinite(part).all(axis=1))[0]
+                self._fail(f"{what} is not finite in row {row}", values)
         lower, upper, error = (part.reshape(-1) for part in results[2:])
         bad = ~np.isfinite(lower) | ~np.isfinite(upper)
         if isinstance(self.task, SetTask):
@@ -211,7 +212,3 @@ class _Check:
 def _rank(J: Array) -> int:
     singular = np.linalg.svd(J, compute_uv=False)
     return int((singular > _DEPENDENT * max(1.0, float(singular[0]))).sum())
-
-
-def _first_bad(part: Array) -> int:
-    return int(np.flatnonzero(~np.isfinite(part).all(axis=1))[0])

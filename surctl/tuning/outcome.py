@@ -201,7 +201,8 @@ def summary(tuning: Tuning) -> list[str]:
     lines = [f"{'goal':<24}{'kind':<6}{'unit':<6}{'limit':>12}{'start gains':>12}{'tuned':>12}{'normalised':>18}"]
     places = tuning.tuned.evaluation.place[0].tolist()
     for goal, one, place in zip(tuning.request.goals, goal_rows(tuning), places, strict=True):
-        change = " → ".join(_normalised(one[f"normalised_{which}"]) for which in ("hand", "tuned"))
+        both = (one[f"normalised_{which}"] for which in ("hand", "tuned"))
+        change = " → ".join(f"{value:.3f}" if value < _LARGE else f"> {_LARGE}" for value in both)
         mark = "" if one["met"] else "  MISSED"
         mark += "".join(f"  {at}" for at in [goal.place_text(place)] if at)
         lines.append(
@@ -216,10 +217,6 @@ def summary(tuning: Tuning) -> list[str]:
     values = ", ".join(f"{name} = {value:.4g}" for name, value in last.gains.items())
     lines += ["", f"gains: {values}", f"after {len(tuning.rounds)} round(s): {outcome_text(tuning)}"]
     return lines
-
-
-def _normalised(value: float) -> str:
-    return f"{value:.3f}" if value < _LARGE else f"> {_LARGE}"
 
 
 def tuning_dict(tuning: Tuning) -> dict[str, Any]:

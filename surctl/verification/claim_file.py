@@ -134,17 +134,16 @@ def load_claim(path: Path) -> Claim:
     try:
         claim = Claim(
             table.name, statement, table.equation, table.errata, table.expected,
-            tuple(_variable(name, symbols[name], entry) for name, entry in table.variables.items()),
+            tuple(
+                Variable(name, symbols[name], entry.unit, entry.lower, entry.upper, entry.meaning)
+                for name, entry in table.variables.items()
+            ),
             left, right, table.unit, ca.vertcat(ca.SX(0, 1), *casadi_rows), tuple(table.witnesses),
             _motion(table, read), table.tolerance, exact=exact,
         )  # fmt: skip
     except InputError as error:
         raise (error if error.file else error.inside(path)) from None
     return claim
-
-
-def _variable(name: str, symbol: ca.SX, entry: VariableTable) -> Variable:
-    return Variable(name, symbol, entry.unit, entry.lower, entry.upper, entry.meaning)
 
 
 def _checked_names(table: _ClaimTable, path: Path) -> list[str]:

@@ -50,7 +50,7 @@ def test_a_vehicle_from_its_geometry(tmp_path: Path) -> None:
     words[-1] = "0.4 N"
     wrong = surctl("vehicle", "from-geometry", "--name", "other", *words, cwd=tmp_path)
     assert wrong.status == 2
-    assert wrong.complaint == "surctl: --yaw-thrust = '0.4 N': wrong unit; give it in N m"
+    assert wrong.complaint == "surctl: --yaw-thrust = '0.4 N': wrong unit; give it in N m, for instance \"0.4 N m\""
     assert not (tmp_path / "other.toml").exists()
 
 

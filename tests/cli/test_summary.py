@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 import pytest
 
-from surctl.cli.output import as_json, finish
+from surctl.cli.output import as_json, finish, warnings_in
 from tests.cli.process import Outcome, surctl_here
 from tests.cli.test_commands import CLAIM
 from tests.cli.test_help import COMMANDS
@@ -147,3 +147,13 @@ def test_what_got_worse_is_named_whole(capsys: pytest.CaptureFixture[str], monke
 def test_the_text_of_a_file_is_printed_whole(tmp_path: Path) -> None:
     done = surctl_here("verify", "v2-static", "--show", cwd=tmp_path, SURCTL_VERBOSE="")
     assert done.out.count("\n") > 5 and done.out == surctl_here("verify", "v2-static", "--show", cwd=tmp_path).out
+
+
+def test_a_warning_is_in_the_summary_and_no_export_is_next_after_a_failure(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("SURCTL_VERBOSE")
+    lines = ["FAIL a", *(f"  number {k}" for k in range(9)), "  warning: the cap is too high"]
+    kinds = {"then": ["surctl export --out b", "surctl lint c"], "brief": ["FAIL a", *warnings_in(lines)]}
+    summary = ["FAIL a", "warning: the cap is too high", "(more: --verbose)", "next  surctl lint c"]
+    assert printed(capsys, lines, status=1, **kinds) == summary

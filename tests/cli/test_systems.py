@@ -171,6 +171,19 @@ def test_files_of_another_command_are_named_when_they_are_replaced(file: str, tm
     assert "contained results of another command, which this command replaced: pool-pump.csv\n" in says
 
 
+def test_a_repeated_command_replaces_its_own_results_however_it_is_spelled(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def says(*words: str) -> str:
+        monkeypatch.setattr("sys.argv", ["surctl", *words])
+        return CliRunner().invoke(app, [*words]).stderr
+
+    first = ("simulate", file, "--seconds", "0.1", "--out")
+    spellings = [(str(tmp_path),), (str(tmp_path),), (f"{tmp_path}/.",), (str(tmp_path), "--verbose")]
+    assert "replaced" not in "".join(says(*first, *more) for more in spellings)
+    assert "replaced: pool-pump.csv" in says(*first, str(tmp_path), "k=2")
+
+
 def test_a_run_that_is_not_finite_fails(file: str) -> None:
     words = ("simulate", file, "plant.blow=1", "k=0", "--seconds", "3")
     lost = data(*words, status=1)

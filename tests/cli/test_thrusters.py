@@ -1,13 +1,16 @@
 """`surctl vehicle thrusters`, and failures of thrusters as options."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from surctl.errors import InputError
 from surctl.marine.cli.sensor_options import parse_thruster_fault, split_faults
 from surctl.marine.simulation import ThrusterFault
-from surctl.marine.simulation.fit import thruster_findings
+from surctl.marine.simulation.fit import held_share, thruster_findings
 from surctl.marine.vehicle import load_vehicle
-from tests.cli.process import surctl
+from tests.cli.process import surctl, surctl_here
 
 
 def test_the_thrusters_and_an_allocation_are_printed(tmp_path):
@@ -19,6 +22,19 @@ def test_the_thrusters_and_an_allocation_are_printed(tmp_path):
     assert found["allocation"]["forces"]["T2"] == 0.0
     assert found["allocation"]["binding"] == {"force": ["T1", "T2"]}
     assert (tmp_path / found["file"]).stat().st_size > 10_000
+
+
+def test_the_summary_has_the_values_of_each_axis_and_lint_the_limits_to_set(tmp_path):
+    short = " ".join(surctl_here("vehicle", "thrusters", "bluerov2-heavy", cwd=tmp_path, SURCTL_VERBOSE="").out.split())
+    assert re.search(r"on each axis, with 0 on the others: surge -[\d.]+ to [\d.]+ N, sway .* N, yaw .* N m", short)
+    text = (Path(load_vehicle("bluerov2-thrusters").source)).read_text()
+    (tmp_path / "mine.toml").write_text(text)
+    vehicle = load_vehicle(str(tmp_path / "mine.toml"))
+    for finding in thruster_findings(vehicle.with_values({"Fw_max": 1.2 * vehicle["Fw_max"]})):
+        if finding.key == "thrust":
+            limits = dict(re.findall(r'(F\w_max) = "([\d.]+) N', finding.text))
+            assert set(limits) == {"Fu_max", "Fv_max", "Fw_max", "Fr_max"}
+            assert held_share(vehicle.with_values({name: float(value) for name, value in limits.items()})) >= 1
 
 
 def test_mistakes_are_one_line(tmp_path):

@@ -74,6 +74,9 @@ def test_the_proposed_export_names_everything_and_a_scenario_that_fits_the_hull(
     assert export_command(None, "bluerov2-wu", "default") == fitting, "the hull touches a wall of the pool"
     assert export_command("tank-static", "bluerov2-wu", "default") == fitting
     assert export_command("pool-static", "bluerov2-wu", "default") == []
+    form = Mission(WU, GAINS, cruise=0.1, cap=0.2, barrier="inertia", movers="barrier", guidance="ilos")
+    [command] = export_command("tank-static", "bluerov2-wu", "default", form=form)
+    assert command.endswith("--law guarded --guidance ilos --barrier inertia --movers barrier --sensing sonar")
     wide = tmp_path / "wide.toml"
     text = Path(WU.source).read_text()
     wide.write_text(text.replace(f"radius = {{ value = {WU['radius']:g}", "radius = { value = 3.2"))

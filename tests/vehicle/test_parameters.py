@@ -120,6 +120,7 @@ MISTAKES = {
     "missing key": (_edited(RADIUS, ""), "hull.radius", "is missing"),
     "wrong unit": (_edited(RADIUS, 'radius = { value = 27.0, unit = "s" }'), "hull.radius", "give it in m"),
     "no unit": (_edited(RADIUS, "radius = { value = 0.27 }"), "hull.radius", "unit"),
+    "not a number": (_edited(RADIUS, "radius = nan"), "hull.radius", "is not a finite number"),
     "text for a number": (_edited(RADIUS, 'radius = "a foot"'), "hull.radius", "must be a value with its unit"),
     "bare number": (_edited(RADIUS, "radius = 0.27"), "hull.radius", "0.27"),
     "true for a number": (_edited(RADIUS, 'radius = { value = true, unit = "m" }'), "hull.radius", "True"),

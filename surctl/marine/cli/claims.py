@@ -29,17 +29,13 @@ def statement_lines(exact: lib.Statement, certificate: Mapping[str, Any] | None)
     return [f"  {lib.clipped(left)} <= {lib.clipped(bound)}", f"  where {lib.clipped(', '.join(where))}"]
 
 
-def _number(value: float, digits: str) -> str:
-    return repr(value) if digits == "r" else f"{value:{digits}}"
-
-
 def claim_line(verdict: lib.Verdict) -> str:
     """Return one line for a verdict, with its counterexample, its slack or the reason why it is unknown."""
     counterexample, proof = verdict.counterexample, verdict.certificate
     where = ""
     if counterexample is not None:
-        digits = "r" if counterexample.undefined else ".4g"  # beside a pole, every digit counts
-        where = " at " + ", ".join(f"{k} = {_number(v, digits)}" for k, v in counterexample.values.items())
+        shown = repr if counterexample.undefined else "{:.4g}".format  # beside a pole, every digit counts
+        where = " at " + ", ".join(f"{k} = {shown(v)}" for k, v in counterexample.values.items())
         where += f": {counterexample.sentence}"
     elif verdict.vacuous:
         where = f", but vacuous: {verdict.vacuous}"

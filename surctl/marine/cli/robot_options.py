@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, cast
 
 import click
 
-from surctl.cli.options import option
+from surctl.cli.options import changed, option
 from surctl.errors import InputError, check_known
 from surctl.marine.cli import lib
 
@@ -167,10 +167,20 @@ def choose_sensing(option: str | None, law: str) -> lib.Sensing:
     return cast("lib.Sensing", option)
 
 
-def law_words(reference: str) -> list[str]:
-    """Return the command-line options that select this law, for a suggested command."""
-    return ["--law", lib.own_file(reference)]
+def law_words(
+    reference: str, form: lib.Case | lib.Mission | None = None, *, vehicle: lib.Vehicle | None = None
+) -> list[str]:
+    """Return the options of a suggested command that select this law, unless it is the default of `vehicle`, and its
+    form in a case.
+    """
+    stated = {} if form is None else {_FORM[name]: value for name, value in vars(form).items() if name in _FORM}
+    other = changed(RobotOptions(**stated)).items()
+    law = [] if vehicle is not None and reference == lib.default_law(vehicle) else ["--law", lib.own_file(reference)]
+    return [*law, *(word for option in other for word in option)]
 
+
+# fields of a case that define the form of its law, and those of `RobotOptions`
+_FORM = {name: name for name in ("avoidance", "guidance", "barrier", "movers")} | {"mode": "priority_mode"}
 
 TRUST = "Permit running the Python law of a study or saved run."
 """Help of the option `--trust`."""
@@ -284,7 +294,7 @@ def export_command(
     *,
     file: str | None = None,
     law: str = "guarded",
-    guidance: str | None = None,
+    form: lib.Case | lib.Mission | None = None,
     sensing: str = "sonar",
 ) -> list[str]:
     """Return the words of the export command, with the certificates that apply; empty if the vehicle fits no scenario.
@@ -296,7 +306,7 @@ def export_command(
         certificates: certificate files; the command carries those that concern this law.
         file: name or file of the gains in the command; None: `gains` itself.
         law: the law to export, a name or FILE.py:FUNCTION.
-        guidance: path guidance; None: the default of the command.
+        form: the case or mission that has the form of the law; None: the defaults of the command.
         sensing: "sonar" or "truth".
     """
     robot = lib.load_vehicle(vehicle)
@@ -309,7 +319,7 @@ def export_command(
         numbers = lib.law_numbers(lib.load_scenario(chosen), values, robot)
         travel = lib.fitting_certificates(certificates, lib.vehicle_law(robot, law), robot, numbers)
     words = ["surctl", "export", "--scenario", chosen, "--vehicle", vehicle, "--gains", file or str(gains)]
-    words += [*law_words(law), *(() if guidance is None else ("--guidance", guidance)), "--sensing", sensing]
+    words += [*law_words(law, form), "--sensing", sensing]
     return [shlex.join([*words, *(word for file in travel for word in ("--certificate", str(file)))])]
 
 

@@ -34,7 +34,7 @@ def run_line(run: lib.Run) -> str:
     crab = f", but crabbing {m.crab_angle_deg:.0f} deg" if m.crab_angle_deg > _CRABBING else ""
     error = "no path error, because the whole run counts as avoidance"
     if m.path_error_m >= 0:
-        error = f"path error {m.path_error_m:.3f} m"
+        error = f"rms path error {m.path_error_m:.3f} m outside avoidance"
     return (
         f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}, seed {run.seed}: {m.stopped_because} at "
         f"{m.time_s:.2f} s{crab}, least clearance {m.min_clearance_m:.3f} m, {error}{missed}"

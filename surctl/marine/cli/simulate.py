@@ -109,6 +109,7 @@ def simulate(
     conduct_runs(
         each_case(), out=out, as_json=as_json, single=count == 1, above=above,
         series=lambda several: [*series_lines(several), *gone], short=runs > 1 and out is None and not show.explained,
+        beside="" if show.save else " (plots only; --save csv adds the signals)",
     )  # fmt: skip
 
 

@@ -84,7 +84,7 @@ def study(words: tuple[str, ...], out: Path, workers: int, options: _Options, as
         tuning = ["surctl", "tune", *([file] if file else []), *(["--trust"] if options.trust else [])]
         # a search about missions that the study has made for the vehicle has no study file
         search = [shlex.join(tuning)] if tunable(study.assessment) and not plan.unheard else []
-        return [*changes(study.assessment, about[3], cruise), *search, shlex.join(_examined(plan.law, about))]
+        return [*changes(study.assessment, about[3], cruise), *search, shlex.join(_examined(plan, about))]
 
     above = [] if plan.derivation is None else [f"started from {line.strip()}" for line in plan.derivation.lines()]
     conduct_study(study, out, above=above, below=below, then=then, as_json=as_json)
@@ -108,9 +108,10 @@ def tunable(assessment: lib.Assessment) -> bool:
     return not left or any(contact is None or line not in contact.lines for line in left)
 
 
-def _examined(law: str, about: list[str]) -> list[str]:
+def _examined(plan: lib.Plan, about: list[str]) -> list[str]:
     """Return the command that checks the gains: `verify`, or `simulate` if no analysis is about the law."""
-    _, scenario, *others = about
+    law, (_, scenario, *others) = plan.law, about
     simulated = ["surctl", "simulate", scenario, *others, *law_words(law)]
     source = lib.law_source(law)
-    return ["surctl", "verify", *about] if source.parts or source.steering is not None else simulated
+    verified = ["surctl", "verify", *about, *law_words(law, vehicle=plan.vehicle)]
+    return verified if source.parts or source.steering is not None else simulated

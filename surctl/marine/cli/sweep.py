@@ -163,8 +163,10 @@ def _mission_summary(
         lines += ["", verdict, *one.decisive]
     about = shlex.join(at_hand(cases[0].scenario, cases[0].vehicle, str(files.get("gains"))))
     # the claims of `verify` are about parts of the built-in laws
-    exported = f"surctl export {about} {shlex.join(law_words(law))} --sensing {sensing}"
-    then = [f"surctl verify {about}" if lib.law_source(law).parts else exported] if picked is not None else []
+    exported = f"surctl export {about} {shlex.join(law_words(law, cases[0]))} --sensing {sensing}"
+    chosen = [*law_words(law, vehicle=cases[0].vehicle), "--sensing", sensing]
+    verified = f"surctl verify {about} {shlex.join(chosen)}"
+    then = [verified if lib.law_source(law).parts else exported] if picked is not None else []
     feasible, best = table.column("feasible") > 0.5, {} if picked is None else table.at(picked)
     values = "; the best has " * bool(best) + ", ".join(f"{name} = {value:.4g}" for name, value in best.items())
     brief = [f"{feasible.sum()} of {feasible.size} points are feasible{values}"]

@@ -120,10 +120,10 @@ class _Missions(Task):
         region = region_words(plan.law, mission, robot, lib.tuned_gains(tuning))
         # a region claim needs only the speeds; with --scenario, the safety claim would also affect the exit status
         speeds = ["--cruise", f"{mission.cruise:g}", "--cap", f"{mission.cap:g}"]
-        chosen = [] if plan.law == lib.default_law(robot) else law_words(plan.law)
+        chosen = [*law_words(plan.law, vehicle=robot), "--sensing", "truth"]
         proofs = ["--out", str(Path(gains).parent / "proofs")]
         arguments = [*region, *(speeds if region else about[:2]), *about[2:], *chosen, *proofs]
-        shipped = export_command(about[1], about[3], gains, law=plan.law, guidance=case.guidance, sensing="truth")
+        shipped = export_command(about[1], about[3], gains, law=plan.law, form=case, sensing="truth")
         data = {"left_out": left, "not_judged": unjudged, "caps": over, "floor": floor}
         notes = [*self.derived, *self.omitted, *late, *over]
         then = [shlex.join(["surctl", "verify", *arguments]), *shipped]

@@ -77,9 +77,9 @@ def thrusters(
     lines += [f"  {line}" for line in actuators.lines()]
     at = f" that have thrust at rest, at {speed:g} m/s" if actuators.fins else ""
     lost = f", without {', '.join(failed)}" if failed else ""
-    lines.append(f"largest values on each axis, with 0 on the others{at}{lost}")
-    for axis, (low, high), unit in zip(lib.AXES[:4], intervals.tolist(), ("N", "N", "N", "N m"), strict=True):
-        lines.append(f"  {axis:<6} {low:>8.2f} to {high:>7.2f} {unit}")
+    ends = zip(lib.AXES[:4], intervals.tolist(), ("N", "N", "N", "N m"), strict=True)
+    values = ", ".join(f"{axis} {low:.2f} to {high:.2f} {unit}" for axis, (low, high), unit in ends)
+    lines.append(f"largest values on each axis, with 0 on the others{at}{lost}: {values}")
     limits = ", ".join(f"{key} {vehicle[key]:g}" for key in ("Fu_max", "Fv_max", "Fw_max", "Fr_max"))
     lines.append(f"at once in every combination: {share:.3g} times the limits {limits}")
     if wrench is not None:
@@ -124,6 +124,12 @@ class _Measured(click.ParamType):  # type: ignore[type-arg]  # generic since cli
 
 _out = click.option("--out", type=FILE, help="Vehicle file to write (default NAME.toml).")
 _over = click.option("--force", is_flag=True, help="Overwrite an existing file.")
+_yaw_thrust = click.option(
+    "--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical axis [N m]."
+)
+_lag = click.option(
+    "--thrust-lag", type=_Measured("s"), default=0.3, help="Time constant of the thrusters' lag [s] (default 0.3)."
+)
 _name = click.option("--name", default="my-vehicle", metavar="TEXT", help="Name of the vehicle (default my-vehicle).")
 
 
@@ -160,12 +166,8 @@ vehicle.add_command(thrusters)
     required=True,
     help='Largest force along each axis [N], or a text such as "0.5 kgf".',
 )
-@click.option(
-    "--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical axis [N m]."
-)
-@click.option(
-    "--thrust-lag", type=_Measured("s"), default=0.3, help="Time constant of the thrusters' lag [s] (default 0.3)."
-)
+@_yaw_thrust
+@_lag
 @click.option(
     "--density", type=_Measured("kg/m^3"), default=1000.0, help="Density of the water [kg/m^3] (default 1000)."
 )
@@ -177,6 +179,8 @@ def from_geometry(mass: float, cd: float, out: Path | None, force: bool, as_json
 
     Each parameter has a range and the source of its value. For a hull that is not a sphere, fit the parameters to a log
     (surctl vehicle from-log), or write known parameters into a file (surctl new vehicle).
+
+    A number without unit is in the unit that the help of its option states; a vehicle file needs the unit.
 
     Example: surctl vehicle from-geometry --name mine --diameter "40 cm" --mass "6 kg" --thrust 0.5kgf
     --yaw-thrust "0.4 N m"
@@ -193,12 +197,8 @@ def from_geometry(mass: float, cd: float, out: Path | None, force: bool, as_json
 @click.option("--thrust", type=_Measured("N"), required=True, help="Largest force in surge [N].")
 @click.option("--sway-thrust", type=_Measured("N"), help="Largest force in sway [N] (default: that of --thrust).")
 @click.option("--heave-thrust", type=_Measured("N"), help="Largest force in heave [N] (default: that of --thrust).")
-@click.option(
-    "--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical axis [N m]."
-)
-@click.option(
-    "--thrust-lag", type=_Measured("s"), default=0.3, help="Time constant of the thrusters' lag [s] (default 0.3)."
-)
+@_yaw_thrust
+@_lag
 @_out
 @_over
 @as_json
@@ -210,6 +210,8 @@ def from_gazebo(
     surctl reads mass, added mass and drag from the plugin gz::sim::systems::Hydrodynamics, the element
     fluid_added_mass, and a hydrodynamic_model of type fossen. The vehicle file has surge, sway, heave and yaw of the
     model, without roll and pitch. First expand a xacro file: xacro FILE > robot.urdf.
+
+    A number without unit is in the unit that the help of its option states; a vehicle file needs the unit.
 
     Example: surctl vehicle from-gazebo model.sdf --name auv --diameter 0.5 --thrust 40 --yaw-thrust 6
     """

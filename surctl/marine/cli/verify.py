@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.options import FiniteRange, option, options
-from surctl.cli.output import finish, prepare_out, progress, refusal_line, saving
+from surctl.cli.output import finish, prepare_out, progress, refusal_line, same_command, saving, warnings_in
 from surctl.cli.verify import Claimed, decide_claims, failed_lines, next_check, refused
 from surctl.errors import InputError
 from surctl.marine.cli import claims, lib
@@ -198,14 +198,16 @@ def verify(
     failed, failures = failed_lines(done, failing)
     lines += failed or ([] if alone else ["accepted"])
     then = next_check(done, out)
-    if not then or out is not None:
-        then += _after(linear, choice, tuned, gains, scenario, certificates, law=chosen_law, sensing=sensed)
+    if not failures and (not then or out is not None):
+        then += _after(linear, choice, tuned, gains, scenario, certificates, whole)
+    # gain `margin` that is missing, for a no-contact claim or for the proof of a braking claim
+    larger = [margin_short(safety), *(getattr(one.proof, "enough", math.nan) for one in done)]
     if linear.short and cascaded:  # gains that have the margins at this speed, or else at a lower one
         derived = lib.derive_gains(vehicle, cruise=speeds[0])
         reached = speeds[0] if derived.reached else derived.bearable
         then[:0] = [derive_words(word, reached, _GAIN_FILE)] if reached > 0 else []
-    elif tuned.derived and math.isfinite(short := margin_short(safety)):
-        then.insert(0, derive_words(word, speeds[0], _GAIN_FILE, margin=short))
+    elif tuned.derived and (larger := list(filter(math.isfinite, larger))):
+        then[:0] = [derive_words(word, speeds[0], _GAIN_FILE, margin=max(larger)), same_command(gains=_GAIN_FILE)]
     if instead:
         again = ["surctl", "verify", instead, *("--vehicle", word), *(("--gains", gains) if gains else ())]
         then.insert(0, shlex.join([*again, "--cruise", f"{speeds[0]:g}", "--cap", f"{speeds[1]:g}"]))
@@ -221,7 +223,7 @@ def verify(
         about_claims = [*(f"FAIL {one.failure}" for one in done if one.failure), counted]
     about_claims.sort(key=lambda line: not line.startswith("FAIL"))
     brief = [*about_missions, *(f"FAIL {text}" for text in failing), *about_claims]
-    brief += [*(f"{line.mark} {line.text}" for line in judged if line.rank), *beside]
+    brief += [*(f"{line.mark} {line.text}" for line in judged if line.rank), *beside, *warnings_in(lines)]
     files = [f"certificates {out}"] if certificates else [f"pictures {out}"] if result.get("pictures") else []
     finish(
         result | failures, lines, as_json=as_json, passed=not failures, then=then, brief=brief, files=files
@@ -244,16 +246,16 @@ def _show(
 
 def _after(
     linear: LinearPart, choice: VehicleChoice, tuned: GainsChoice, gains: str | None, scenario: str | None,
-    certificates: Sequence[Path], *, law: str, sensing: str,
+    certificates: Sequence[Path], mission: lib.Mission,
 ) -> list[str]:  # fmt: skip
     """Return the commands that write the gains and export the law, if its loop is stable with its margins."""
     if not linear.stable or linear.short:
         return []
     file = gains or (_GAIN_FILE if tuned.derived else "default")
-    cascaded = lib.PATH_FOLLOWING in lib.law_source(law).parts
+    cascaded = lib.PATH_FOLLOWING in lib.law_source(mission.law_ref).parts
     exported = export_command(
-        scenario, choice.word, tuned.gains, certificates if cascaded else (), file=file, law=law,
-        sensing=sensing if cascaded else "truth",
+        scenario, choice.word, tuned.gains, certificates if cascaded else (), file=file, law=mission.law_ref,
+        form=mission, sensing=mission.sensed if cascaded else "truth",
     )  # fmt: skip
     return [*([derive_words(choice.word, linear.cruise, file)] if tuned.derived else []), *exported]
 

@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
-from numpy.typing import NDArray
 
 from surctl.marine.verification.mission import tube_radii
 from surctl.report.theme import GOOD, INK, dress, legend_below, new_axes
@@ -42,8 +41,8 @@ def plot_mission(document: Mapping[str, Any]) -> Axes:
     width, height = high - low
     ax = new_axes(9.0, float(np.clip(7.6 * height / width + 1.5, 2.3, 7.6)))
     dress(ax, title=f"{document['claim']['name']}: certified tube", x="x in {E} [m]", y="y in {E} [m]")
-    # opaque discs, so that their union has one colour
-    ax.add_collection(PatchCollection([*map(_disc, places)], facecolor=_TUBE, edgecolor="none", zorder=1.1))
+    discs = [Circle((x, y), radius) for x, y, radius in places]  # opaque, so that their union has one colour
+    ax.add_collection(PatchCollection(discs, facecolor=_TUBE, edgecolor="none", zorder=1.1))
     path = np.array(document["claim"]["path_m"])
     ax.plot(path[:, 0], path[:, 1], color=INK, linestyle="--", linewidth=1.1, zorder=3)
     ax.plot(*path[0], marker="s", color=INK, markersize=6, markerfacecolor="white", zorder=4, linestyle="none")
@@ -59,7 +58,3 @@ def plot_mission(document: Mapping[str, Any]) -> Axes:
     ]
     legend_below(ax, columns=2, handles=handles)
     return ax
-
-
-def _disc(place: NDArray[np.float64]) -> Circle:
-    return Circle((place[0], place[1]), place[2])

@@ -169,11 +169,8 @@ def gains_section(data: ReportData) -> Section:
         for name, value in data.gains.values.items()
     )
     table = Table(f"Gains {data.gains.name}", ("gain", "value", "unit", "meaning"), rows)
-    return Section("gains", f"Gains {data.gains.name}", (Paragraph(_provenance(data.gains)), table))
-
-
-def _provenance(gains: Gains) -> str:
-    return f"Provenance: {gains.provenance.rstrip('.')}."
+    provenance = Paragraph(f"Provenance: {data.gains.provenance.rstrip('.')}.")
+    return Section("gains", f"Gains {data.gains.name}", (provenance, table))
 
 
 def loops_section(data: ReportData) -> Section:

@@ -54,7 +54,7 @@ def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
         >>> law, gains = build_law("closed_form"), load_gains("default")
         >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
         >>> [ax.get_ylabel() for ax in plot_run_signals(run).axes][:4]
-        ['clearance [m]', 'path error [m]', 'velocity in {B} [m/s]', 'yaw rate [rad/s]']
+        ['clearance [m]', 'path error at each time [m]', 'velocity in {B} [m/s]', 'yaw rate [rad/s]']
     """
     if ax is None:
         figure = new_figure(9.5, 7.6)
@@ -99,7 +99,7 @@ def _signals(run: Run, away: NDArray[np.float64]) -> list[Signal]:
     return [
         ("clearance", "m", [("known to the law", np.where(known < _UNKNOWN, known, np.nan), 1, True),
                             ("true", record.clearance, 0, False)], standoff),
-        ("path error", "m", [("y_e in the law", error, 1, True), ("distance to path", away, 0, False),
+        ("path error at each time", "m", [("y_e in the law", error, 1, True), ("distance to path", away, 0, False),
                              ("z error", record.eta[:, 2] - depth, 2, False)], []),
         ("velocity in {B}", "m/s", [*((name, nu[:, k], k, False) for k, name in enumerate("uvw")),
                                     ("√(u² + v²)", np.hypot(nu[:, 0], nu[:, 1]), 3, False)],

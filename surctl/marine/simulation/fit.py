@@ -22,6 +22,7 @@ from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, attainable, plant_parameters
 from surctl.marine.vehicle.dynamics import trim_function
 from surctl.marine.vehicle.thruster_file import axis_ends
+from surctl.units import towards
 
 _WIDE = 15.0  # [deg] tilt above which the sonars' beams leave the depth of the path, and sin² of it costs thrust
 
@@ -98,10 +99,12 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
     share = held_share(vehicle)
     if share < 1 - _SLACK:
         first, *_ = [name for name, _ in vehicle.actuators.levels]
+        limits = [(name, towards(share * vehicle[name], up=False)) for name in _LIMITS if vehicle[name] > 0]
+        lower = ", ".join(f'{name} = "{limit} {vehicle.parameters[name].unit}"' for name, limit in limits)
         text = (
-            f"the thrusters give only {share:.0%} of Fu_max, Fv_max, Fw_max and Fr_max at once. Beyond this share the "
-            f"allocation keeps {first} and gives up other forces; margins and certificates hold only within it. "
-            f"Multiply the four limits by {share:.2g} for limits that hold together"
+            f"the thrusters give only {share:.0%} of Fu_max, Fv_max, Fw_max and Fr_max at once; for limits that hold "
+            f"together, set in [thrust] {lower}. Beyond this share the allocation keeps {first} and gives up other "
+            "forces; margins and certificates hold only within it"
         )
         turns = vehicle["Fv_max"] == 0 and vehicle.actuators.order[0] == "yaw"
         results.append(Finding("info" if turns else "warning", "thrust", text))

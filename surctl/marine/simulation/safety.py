@@ -432,7 +432,7 @@ def safety_claim(
         Figure("range needed", sight, "m", "distance at which that obstacle must be detected, at the speed cap"),
         Figure(
             "margin needed",
-            max(needed.values()),
+            max(0.0, *needed.values()),
             "m",
             "margin that the vehicle needs beyond the law's bound, at the worst speed",
         ),

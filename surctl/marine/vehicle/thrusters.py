@@ -429,16 +429,12 @@ def attainable(actuators: Actuators, axes: tuple[int, ...] = (0, 1, 2, 3)) -> At
     matrix = actuators.matrix / np.array([1.0, 1.0, 1.0, lever])[:, None]
     summands = [matrix[np.ix_(axes, range(s.start, s.stop))] for s in actuators.slices]
     corners = [thruster.corners / unit @ part.T for thruster, part in zip(actuators.thrusters, summands, strict=True)]
-    edges = np.vstack([_edges(points) for points in corners])
-    normals = _normals(_distinct(edges), len(axes))
+    edges = [p[1:] - p[:1] if len(p) == 2 else np.roll(p, -1, axis=0) - p for p in corners]
+    normals = _normals(_distinct(np.vstack(edges)), len(axes))
     values = [points @ normals.T for points in corners]  # (corners, m)
     above = np.column_stack([value.max(axis=0) for value in values])
     below = np.column_stack([(-value).max(axis=0) for value in values])
     return Attainable(axes, normals, above, below, unit, lever)
-
-
-def _edges(points: Array) -> Array:
-    return points[1:] - points[:1] if len(points) == 2 else np.roll(points, -1, axis=0) - points
 
 
 def _distinct(edges: Array) -> Array:

@@ -92,7 +92,8 @@ def corners(
         if ends == [{}]:
             return Corners((vehicle,), f"{NOMINAL} alone", (NOMINAL,))
         vehicles = tuple(_with(vehicle, values) for values in ends)
-        tied = ", with equal mass in surge and sway" if _MASSES in groups and _ranged(vehicle, "m11") else ""
+        ranged = _MASSES in groups and vehicle.parameters["m11"].range is not None
+        tied = ", with equal mass in surge and sway" if ranged else ""
         labels = tuple(_label(one, ends[0]) for one in vehicles)
         text = f"the {len(vehicles)} corners of its parameter ranges{tied}"
         return Corners((vehicle, *vehicles), text, (NOMINAL, *labels))
@@ -118,10 +119,6 @@ def _groups(vehicle: Vehicle) -> list[tuple[str, ...]]:
     if (surge.value, surge.range) == (sway.value, sway.range):
         return [_MASSES, *(group for group in groups if not set(group) & set(_MASSES))]
     return groups
-
-
-def _ranged(vehicle: Vehicle, name: str) -> bool:
-    return vehicle.parameters[name].range is not None
 
 
 def _factors(share: float) -> tuple[float, ...]:

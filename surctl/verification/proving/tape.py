@@ -45,7 +45,9 @@ class Tape(Evaluator):
             if not fine.all():
                 at = int(np.argmin(fine))
                 low, high = (float(end[at]) for end in read.jets[places[node.args[-1]]].value)
-                return at, f"{_TROUBLES[node.op]} [{low:.3g}, {high:.3g}] in {_short(text_of(node))}"
+                text = text_of(node)
+                text = text if len(text) <= 60 else text[:57] + "..."
+                return at, f"{_TROUBLES[node.op]} [{low:.3g}, {high:.3g}] in {text}"
         return 0, ""
 
 
@@ -85,7 +87,3 @@ _TROUBLES = {
     "powr": "fractional power of an interval that contains 0 or negative numbers:",
     **{op: f"{op} of an interval beyond {LARGEST_EXPONENT:.0f}:" for op in ("exp", "sinh", "cosh")},
 }
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 60 else text[:57] + "..."

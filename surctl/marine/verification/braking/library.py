@@ -59,7 +59,9 @@ class BrakingStatement:
         share = gains["brake"] if self.barrier == "inertia" else LEAST_THRUST
         acting, ratio = _drag(vehicle, self.drag, wide=self.wide), _ratio(vehicle, wide=self.wide)
         numbers = None if self.barrier is None else law_numbers(self.barrier, vehicle, gains, cap=cap)
-        brakes = _diagonal(_true(vehicle, share, wide=self.wide), acting)
+        brakes = _true(vehicle, share, wide=self.wide)
+        if acting == "axes":  # each axis has its own drag and its own limit: the largest thrust is on a diagonal
+            brakes = replace(brakes, most=brakes.most * sqrt(2))
         rule = BrakingClaim(
             name, brakes, _SENSED, acting, _COLUMNS, _fastest(cap), sideways=self.sideways,
             side=0.0 if ratio == 1 else brakes.most, speeds=_rows(cap), digests=(vehicle.digest(), "0" * 64),
@@ -116,11 +118,6 @@ def _drag(vehicle: Vehicle, stated: Literal["along", "axes"], *, wide: bool) -> 
         if vehicle[surge] != vehicle[sway] or (wide and ranges[0] != ranges[1]):
             return "axes"
     return stated
-
-
-def _diagonal(brakes: Brakes, drag: Literal["along", "axes"]) -> Brakes:
-    """Return the brakes with the largest thrust on a diagonal, if each axis has its own drag and its own limit."""
-    return replace(brakes, most=brakes.most * sqrt(2)) if drag == "axes" else brakes
 
 
 def _check(vehicle: Vehicle, *, wide: bool) -> None:

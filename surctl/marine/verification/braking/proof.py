@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from surctl.certcheck import braking_claim as checker
 from surctl.certcheck.braking import Distance, disturbance, drag_ranges, left_at, upper
 from surctl.certcheck.motion import Obligation
 from surctl.lyapunov.near import point_text
+from surctl.marine.control.gains import setting
 from surctl.marine.guidance.braking import LEAST_THRUST
 from surctl.marine.verification.braking.claim import BrakingClaim
 from surctl.verification.certified import Certified
@@ -28,6 +30,7 @@ _LIFT, _ABOVE = 1e-3, 1e-7  # by which G' exceeds what is needed, relative to it
 _FIGURES = 10**4  # an obstacle speed is rounded down to 0.1 mm/s
 _SECONDS, _GRID = 10.0, 60  # limit of the processor time for an inequality; points of each variable
 _FAILS = 1e-6  # excess at a point that is no rounding
+_LARGER = (0.03, 0.07, 0.15, 0.3)  # [m] by which the gain `margin` is raised to find one that is enough
 
 Vector = NDArray[np.float64]
 
@@ -95,10 +98,13 @@ def _proved(obligation: Obligation, name: str) -> list[dict[str, Any]]:
     grid = np.meshgrid(*np.linspace(low, high, _GRID).T)
     left, right, *rows = values_of(parts, {key: x.ravel() for key, x in zip(obligation.names, grid, strict=True)})
     excess = np.where(np.all(np.array(rows).reshape(len(rows), left.size) <= 0, axis=0), left - right, -np.inf)
-    what = "the law's margin is too small" if "b" in obligation.names else "an inequality of the distance is not proved"
+    what = "the gain margin is too small" if "b" in obligation.names else "an inequality of the distance is not proved"
     if excess.max() > _FAILS:
         at = {key: float(x.ravel()[excess.argmax()]) for key, x in zip(obligation.names, grid, strict=True)}
-        raise Rejected(f"{name}: {what} at {point_text(at)}, by {excess.max():.2g}")
+        where = f"at {point_text(at)}, by {excess.max():.2g}"
+        if "b" in at:
+            where = f"by {excess.max():.2g} m at {at['v']:.3g} m/s towards it, speed bound {at['b']:.3g} m/s"
+        raise Rejected(f"{name}: {what} {where}")
     cases = prove_by_boxes(Statement(tuple(obligation.names), low, high, parts[0], parts[1], tuple(parts[2:])),
                            time_limit=_SECONDS)  # fmt: skip
     if cases.remaining:
@@ -119,12 +125,14 @@ class BrakingProof(Certified):
             obstacle.
         seconds: total time of the attempt [s].
         check_seconds: duration of the check by the independent checker [s].
+        enough: a larger gain `margin` with which the claim is proved [m]; NaN if none is known.
     """
 
     claim: BrakingClaim
     range_needed: float
     seconds: float
     check_seconds: float
+    enough: float = nan
 
     @property
     def sentence(self) -> str:
@@ -145,11 +153,29 @@ class BrakingProof(Certified):
             "range_needed_m": self.range_needed,
             "seconds": self.seconds,
             "check_seconds": self.check_seconds,
+            "margin_enough_m": self.enough,
         }
 
 
 def prove_braking(claim: BrakingClaim) -> BrakingProof:
     """Propose the braking distances of the claim, prove their inequalities, and let the checker decide.
+
+    If the claim is not proved, a larger gain `margin` is searched with which it is.
+    """
+    own = _with_any_force(claim)
+    if own.verdict == "proved" or claim.law is None:
+        return own
+    for more in _LARGER:
+        margin = round(float(claim.law.margin) + more, 3)
+        law = replace(claim.law, margin=Fraction(repr(margin)))
+        if _with_any_force(replace(claim, law=law)).verdict == "proved":
+            remedy = f"set {setting('margin', margin)} in the gain file (gains derive --margin {margin:g})"
+            return replace(own, reason=f"{remedy}; {own.reason}", enough=margin)
+    return own
+
+
+def _with_any_force(claim: BrakingClaim) -> BrakingProof:
+    """Return the proof, or the attempt with the guaranteed braking force if there is none.
 
     For a law of a vehicle with unequal masses, several braking forces are tried, the largest one first: the velocity
     loop commands a smaller one at a smaller excess over the speed bound, and the proof may count on any force up to the
@@ -197,7 +223,7 @@ def _certificate(claim: BrakingClaim) -> dict[str, Any]:
     distances = [distance_of(own, obstacle) for obstacle in own.obstacles]
     needed = [[float(distance.needed(speed)) for distance in distances] for speed in own.speeds]
     proofs = [
-        _proved(obligation, f"{claim.name} before an obstacle at {float(d.obstacle):g} m/s")
+        _proved(obligation, f"before an obstacle at {float(d.obstacle):g} m/s")
         for d in distances
         for obligation in d.obligations()
     ]

@@ -188,7 +188,8 @@ def certificate_of(claim: TurningClaim, candidate: TurningCandidate) -> dict[str
     rounded, covariance, cruise = replace(candidate, P=P), np.linalg.inv(P), candidate.cruise
     floor = np.sqrt(np.diag(covariance)[:2] * candidate.levels[0]) * 1.0001
     away = max(map(abs, cruise.moved)) / claim.gains["k1"]
-    start, still = (_down(rounded.start(claim, speed)) for speed in (0.0, -claim.cruise))
+    exact = [rounded.start(claim, speed) for speed in (0.0, -claim.cruise)]
+    start, still = (float(np.floor(1e4 * value * 0.9999) / 1e4) for value in exact)  # rounded down
     fastest = float(claim.cruise + claim.current + np.sqrt(np.linalg.eigvalsh(covariance[2:4, 2:4])[-1]))
     apart = np.abs(
         np.array(axis_pairs(claim.mass_factor, claim.mass_asymmetry)) @ (claim.mass * np.array([1, -1]))
@@ -214,10 +215,6 @@ def certificate_of(claim: TurningClaim, candidate: TurningCandidate) -> dict[str
     if claim.period:
         proof["thrust"] = {"weight": float(P[-1, -1]), "split": split_of(claim)}
     return seal("turning", stated, {"proof": {**proof, "trim": list(cruise.slopes)}})
-
-
-def _down(value: float) -> float:
-    return float(np.floor(1e4 * value * 0.9999) / 1e4)
 
 
 def _up(value: float) -> float:
