@@ -106,6 +106,13 @@ def test_every_page_is_there_and_loads_nothing_from_another_host(site: Path) -> 
     assert [path.name for path in pages if loaded.search(path.read_text(encoding="utf-8"))] == []
 
 
+def test_plots_and_animations_turn_dark_and_scenes_do_not(site: Path) -> None:
+    sonar = (site / "explanation" / "sonar.html").read_text(encoding="utf-8")
+    engine = (site / "studies" / "35_independent_engine.html").read_text(encoding="utf-8")
+    assert re.search(r'<img class="plot"[^>]*tank-static\.gif', sonar)
+    assert re.search(r'<img class="scene"[^>]*scene\.png', engine)
+
+
 def test_formulas_commands_keys_and_terms_are_set(site: Path) -> None:
     text = {name: (site / f"{name}.html").read_text(encoding="utf-8") for name in (
         "explanation/priorities", "reference/commands/simulate", "reference/files/scenario", "reference/files/gains",

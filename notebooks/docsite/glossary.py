@@ -25,7 +25,7 @@ def link_terms(html: str, terms: dict[str, str], page: str) -> str:
     longest = sorted(terms, key=len, reverse=True)
     short = [form for form in longest if form.isupper()]  # abbreviations: LOS is not "loses"
     words, letters = ("|".join(map(re.escape, forms)) for forms in ([f for f in longest if f not in short], short))
-    word = re.compile(rf"(?<![\w-])(?:({words})(?:e?s)?|(?-i:({letters})s?))(?![\w-])", re.IGNORECASE)
+    word = re.compile(rf"(?<![\w-])(?<!s' )(?:({words})(?:e?s)?|(?-i:({letters})s?))(?![\w-])", re.IGNORECASE)
     anchors = {form.lower(): anchor for form, anchor in terms.items()}
     used: set[str] = set()
     inside: list[str] = []

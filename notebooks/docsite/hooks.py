@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import posixpath
 import re
 import sys
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ from formulas import as_mathml, equation_links, with_mathml  # noqa: E402
 from glossary import link_terms, terms_of  # noqa: E402
 from mkdocs.structure.files import File, Files  # noqa: E402
 from notebook_pages import notebook_pages  # noqa: E402
+from PIL import Image  # noqa: E402
 from prose_math import mark_formulas  # noqa: E402
 from unicode_math import as_tex  # noqa: E402
 from wrapping import LONGEST, with_whole_words  # noqa: E402
@@ -140,6 +143,7 @@ def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
     html = re.sub(r"<img (?![^>]*class=)(?=[^>]*\.(?:png|svg|gif))", '<img class="plot" loading="lazy" ', html)
     # a click shows a picture in its full size
     html = re.sub(r'(<img class="plot"[^>]* src="([^"]+)"[^>]*>)(?!</?strong)', r'<a href="\2">\1</a>', html)
+    html = re.sub(r'<img class="(plot)"[^>]* src="([^"]+)"', lambda found: _scene_or_plot(found, files, uri), html)
     up = "../" * uri.count("/")
     if uri.startswith("reference/python/"):
         html = mark_formulas(html, lambda formula: as_mathml(as_tex(formula)))
@@ -148,6 +152,16 @@ def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
     if not uri.startswith(("reference/python/", "studies/", "glossary", "changelog")):
         html = link_terms(html, _TERMS, f"{up}glossary.html")
     return with_whole_words(_TABLE.sub(_labelled, html))
+
+
+def _scene_or_plot(found: re.Match[str], files: Files, uri: str) -> str:
+    # plots are white, and turn dark with the page; the scene of an engine keeps its colours
+    file = files.get_file_from_path(posixpath.normpath(posixpath.join(posixpath.dirname(uri), found[2])))
+    if file is None or found[2].endswith(".svg"):
+        return found[0]
+    with Image.open(BytesIO(file.content_bytes)) as picture:
+        white = min(picture.convert("RGB").getpixel((0, 0))) > 250
+    return found[0] if white else found[0].replace('"plot"', '"scene"', 1)
 
 
 def with_shared_names(html: str) -> str:

@@ -52,7 +52,8 @@ def plot_prediction(prediction: Prediction, *, title: str = "Prediction") -> Fig
         predicted = _broken(prediction.predicted[:, k], prediction.starts)[rows]
         ax.plot(time, held, "--", lw=1.1, color=AVOIDING, label="last velocity held")
         ax.plot(time, predicted, lw=1.4, color=ROBOT, label="model")
-        text = f"RMS error: model {prediction.model[column]:.3g}, last velocity held {prediction.hold[column]:.3g}"
+        unit, rest = _LABELS[column].split()[1].strip("[]"), f"last velocity held {prediction.hold[column]:.3g}"
+        text = f"RMS error: model {prediction.model[column]:.3g} {unit}, {rest} {unit}"
         dress(ax, title=text, y=_LABELS[column])
     axes[-1].set_xlabel("time [s]", fontsize=9.5, color=INK)
     handles, labels = axes[0].get_legend_handles_labels()
