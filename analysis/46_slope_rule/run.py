@@ -35,6 +35,7 @@ TERMS = (
     "{a}*(sqrt(1 + {z}^2) - 1)", "{a}*{z}/p", "{a}*atan({z})", "max({z}, -{b}/p)", "{a}*({z} + {y})^2",
     "{a}*p*{y}*sin({z})", "{a}*abs({z} - {b}) - {a}*{b}", "{a}*sin(p)*{z}", "{a}*atan2({z}, 2 + cos({y}))",
     "p*max(-{b}, min({b}, 2*{z} - {y}))",
+    "{a}*p*{z}*abs({z})", "{a}*{y}*{z}*abs({z})",
 )  # fmt: skip
 KINDS = ("level", "level by 0.1 %", "shape", "rate", "range")
 SAMPLES, RATE, EDGE = 60_000, 0.05, 3.0

@@ -52,11 +52,10 @@ def _secants(function: Tape, t: Ends, c: tuple[float, float]) -> Ends:
     own = np.array([[c[0]]]), np.array([[c[1]]])
     m = iv.point(own[0] / 2 + own[1] / 2)
     [at_c], [jet] = function.everywhere(own, order=1), function.everywhere(t, order=1)
-    [joined] = function.everywhere((np.minimum(t[0], c[0]), np.maximum(t[1], c[1])), order=1)
-    assert at_c.slope is not None and jet.slope is not None and joined.slope is not None
+    assert at_c.slope is not None and jet.slope is not None
     apart = iv.subtract(t, own)
-    # the slopes between bound it by the mean value theorem
-    secants = _common(joined.slope, iv.divide(iv.subtract(jet.value, at_c.value), apart))
+    between = _slopes(function, (np.minimum(t[0], c[0]), np.maximum(t[1], c[1])))
+    secants = _common(between, iv.divide(iv.subtract(jet.value, at_c.value), apart))
     if c[1] - c[0] > _NARROW * max(np.abs(end).max() for end in apart):
         # s_c = (s − g'(c))/(t − c), and s(c) = s(m) + s_c(γ)(c − m)
         bend = iv.divide(iv.subtract(secants, at_c.slope), apart)
@@ -68,6 +67,18 @@ def _secants(function: Tape, t: Ends, c: tuple[float, float]) -> Ends:
     bend = iv.divide(iv.subtract(jet.slope, secants), apart)
     first = iv.divide(iv.subtract(at_middle.value, at_c.value), iv.subtract(middle, own))
     return _common(secants, iv.add(first, iv.multiply(bend, iv.subtract(t, middle))))
+
+
+def _slopes(function: Tape, t: Ends) -> Ends:
+    """Return the range of the slopes on each piece (1, B), which bounds secant slopes by the mean value theorem.
+
+    Below and above 0, the slopes of a function with a kink there, such as t |t|, have narrower ranges.
+    """
+    across = (t[0] < 0) & (t[1] > 0)
+    below, above = (t[0], np.where(across, 0.0, t[1])), (np.where(across, 0.0, t[0]), t[1])
+    [low], [high] = (function.everywhere(part, order=1) for part in (below, above))
+    assert low.slope is not None and high.slope is not None
+    return np.minimum(low.slope[0], high.slope[0]), np.maximum(low.slope[1], high.slope[1])
 
 
 def _common(a: Ends, b: Ends) -> Ends:

@@ -195,6 +195,8 @@ class Rows:
         if free and not alone:
             if op == "div" and self.base[args[1]] >= 0:
                 return self._put("mul", (args[0], self._put("pow", (args[1],), Fraction(-1))))
+            if op == "mul" and (grouped := self._grouped(args)) is not None:
+                return grouped
             if op in ("min", "max") and not (one_sided and self._feedbacks):
                 return self._apart_from(op, args)
             if op == "atan2":
@@ -214,6 +216,26 @@ class Rows:
                 self.base[at] = self.base[free[0]] if alone else at
             self.range[at], self.rest[at] = self._ranges(at)
         return at
+
+    def _grouped(self, args: tuple[int, ...]) -> int | None:
+        """Return a product in which functions of one variable are multiplied first; None if it is one already.
+
+        (p q) b is p (q b). If b is not 0 at the equilibrium, (p + q) b is p b + q b.
+        """
+        for whole, b in (args, args[::-1]):
+            op, parts, _ = self.table.entries[whole]
+            for p, q in (parts, parts[::-1]) if op == "mul" else ():
+                if self.base[q] == self.base[b] >= 0 and self.base[p] != self.base[b]:
+                    return self._put("mul", (p, self._put("mul", (q, b))))
+            if op in ("add", "sub") and self.rest[b] != _ZERO and any(self._factors(part, b) for part in parts):
+                first, second = (self._put("mul", (part, b)) for part in parts)
+                return self._put(op, (first, second))
+        return None
+
+    def _factors(self, at: int, b: int) -> bool:
+        """Return whether a factor of an expression is a function of the same variable as b."""
+        entry = self.table.entries[at]
+        return any(self.base[part] == self.base[b] >= 0 for part in (at, *(entry.args if entry.op == "mul" else ())))
 
     def _apart_from(self, op: str, args: tuple[int, ...]) -> int:
         """Return a + op(0, b − a) for op(a, b)."""

@@ -29,6 +29,8 @@ EXPRESSIONS = (
     "p*y*sin(x)", "abs(x - y)", "atan2(x, 2 + y)", "(x + y)^2 + x^3", "w*x + w*w*y", "sin(p)*x + cos(p*p)", "-y*x*p",
     "max(x, min(y, p))", "(x + 1/3)*(y - p)*x", "abs(x + 3) - abs(y - 3)", "log(2 + x)/(2 + x)", "(p - 1)*(p + x)",
     "min(5, x) + max(5, y)", "abs(3 + x*y)", "min(x*y, x - 9)", "max(y, x*x - 9)", "(x + 2*y)*(x - y)", "x*p/(2 + p)",
+    "(x - 0.3*p)*abs(x - 0.3*p)", "(4 + p*abs(x - 0.3*p))*(x - 0.3*p)", "p*x*abs(x)", "x*y*abs(x)", "x*(p*x*y)*y",
+    "(4 + p*abs(x))*x", "(x - 0.3*p)*(y - p*abs(x - 0.3*p) + x)", "(p*x - y)*x*x",
 )  # fmt: skip
 
 
@@ -111,6 +113,21 @@ def test_the_range_of_a_slope_is_narrow(text: str, slope: tuple[float | None, fl
         assert expected is None or value == pytest.approx(expected, abs=6e-3)
     assert slope[0] is None or low <= slope[0] + 1e-12
     assert slope[1] - 1e-12 <= high
+
+
+def test_a_kink_at_0_on_both_sides_of_which_the_equilibrium_may_lie_adds_no_slope_of_another_sign() -> None:
+    [(low, high)] = rows_of("(x - 0.3*p)*abs(x - 0.3*p)").slopes
+    most = HIGH - 0.24 + 0.06  # of the two values between which it is a secant
+    assert low == 0 and most <= float(high) <= most + 0.05
+
+
+@pytest.mark.parametrize(
+    "text", ["p*x*abs(x)", "x*p*abs(x)", "abs(x)*(x*p)", "p*(x*abs(x))", "(4 + p*abs(x))*x", "x*(p*abs(x) - 4)"]
+)
+def test_functions_of_one_variable_are_multiplied_first(text: str) -> None:
+    rows = rows_of(text)
+    used = {rows.slopes[k] for entry in rows.rows[0] for term in entry.poly for k in term}
+    assert used == {*rows_of("p*y").slopes, *rows_of("x*abs(x)").slopes}
 
 
 def test_the_support_of_a_sum_is_that_of_the_ellipsoid() -> None:

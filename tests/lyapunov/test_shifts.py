@@ -62,6 +62,36 @@ def test_the_solutions_of_each_constant_parameter_converge_to_its_equilibrium(pr
         assert abs(run["angle"][-1, 0] - rest[0]) < 1e-5
 
 
+CURRENT = """
+kind = "lyapunov"
+name = "station"
+[definitions]
+w = "v - c"
+[states]
+x = { rate = "v", lower = -2, upper = 2, unit = "m" }
+v = { rate = "(max(-20, min(20, -30*x - 10*v)) - 4*w - DRAG)/m", lower = -2, upper = 2, unit = "m/s" }
+[parameters]
+m = { lower = 40, upper = 60, unit = "kg" }
+b = { lower = 50, upper = 70, unit = "kg/m" }
+c = { lower = -0.3, upper = 0.3, unit = "m/s" }
+"""
+
+
+@pytest.mark.parametrize("drag", ["60*w*abs(w)", "(2 + b*abs(w))*w"])
+def test_a_craft_with_quadratic_drag_keeps_its_station_in_a_current(tmp_path: Path, drag: str) -> None:
+    (path := tmp_path / "station.toml").write_text(CURRENT.replace("DRAG", drag))
+    found = solve(load_problem(path), first=True)
+    assert found.verdict == "proved" and check_document(found.document).accepted
+    claim, rng = found.decision.claim, np.random.default_rng(3)
+    still = found.document["claim"]["radius"]["x"]
+    for m, b, c in [(40.0, 70.0, 0.3), (60.0, 50.0, -0.3), (50.0, 60.0, 0.1)]:
+        x = rng.normal(size=2)
+        x *= np.sqrt(0.999 * claim.level / float(claim.dynamics.compiled(claim.function)(x, [m, b, c])))
+        for _ in range(1500):
+            x = x + 0.02 * np.ravel(claim.dynamics.evaluate(x[:, None], np.array([[m], [b], [c]])))
+        assert abs(x[0]) <= still and abs(x[1]) < 1e-4
+
+
 def test_the_checker_demands_an_equilibrium_within_the_radii_and_room_for_it(proved: Any) -> None:
     document = proved.document
     claim = document["claim"]

@@ -101,9 +101,9 @@ def verify(
     surctl linearises the closed loop about straight cruise (with --law: about the law's steady motion), and prints
     margins, poles, slowest mode and stable speeds, for the nominal and the worst vehicle within --uncertainty or the
     vehicle's ranges. surctl checks region and braking claims (see surctl list) only if you name them. A claim file
-    has kind = claim (inequality; --show prints examples), region (region claim with ranges of your own), lyapunov
-    (region of attraction of dynamics in the file) or barrier (barrier of such dynamics). Exit status: 1 if a verdict is
-    not the expected one, a named claim is not applicable, or a margin or no-contact claim fails.
+    has kind = claim (inequality; --show prints examples), region (region claim with your ranges), lyapunov (region of
+    attraction of dynamics in the file) or barrier (barrier of such dynamics). Exit status: 1 if a verdict is not the
+    claim's expected one (default: proved), a named claim is not applicable, or a margin or no-contact claim fails.
 
     For FILE.py:FUNCTION, a system of your own, surctl prints equilibrium, poles and margins of the sampled loop. With
     within.STATE=LOW..HIGH for each state, it tries to prove a region of attraction in the box of these ranges.
