@@ -36,8 +36,7 @@ def gains() -> None:
     "--margin",
     type=FiniteRange(min=0),
     metavar="D",
-    help="Distance to keep from obstacles, the gain `margin` [m] (default: 0.2 hull radii, at least 0.05). "
-    "surctl judges it for --barrier simple; for inertia, see surctl verify braking-inertia-20.",
+    help="Gain `margin`, distance to keep [m]; judged for --barrier simple (default: 0.2 hull radii, at least 0.05).",
 )
 @click.option("--out", type=FILE, help="Gain file to write (default: none).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
