@@ -171,6 +171,7 @@ def test_words_of_commands_stay_whole() -> None:
     shown = with_whole_words("<p><code>surctl sweep --seeds 9</code> <code>analysis/08_sweep_scale/run.py</code></p>")
     assert '<code>surctl sweep <span class="whole">--seeds</span> 9</code>' in shown
     assert "<code>analysis/<wbr>08_sweep_scale/<wbr>run.py</code>" in shown
+    assert '<code class="long">' in with_whole_words(f"<td><code>tests/{50 * 'x'}.py</code></td>")
     block = '<div class="language-text highlight"><pre><span></span><code>{}\n</code></pre></div>'
     assert with_whole_words(block.format("| (1)-(3) |")) == block.format("| (1)-(3) |")  # a drawing does not wrap
     assert 'class="language-console' in with_whole_words(block.format("python analysis/run.py --quick"))

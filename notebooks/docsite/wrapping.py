@@ -18,7 +18,12 @@ _HYPHENATED = re.compile(r"[^\s<>]*-[^\s<>]*")
 def with_whole_words(html: str) -> str:
     """Return the page with options and short names that browsers do not break at a hyphen, also in commands."""
     html = _COMMANDS.sub(lambda found: _commands(found[0]), html)
-    return _INLINE.sub(lambda found: f"<code>{_paths(_whole(found[1]))}</code>", html)
+    return _INLINE.sub(lambda found: _inline(found[1]), html)
+
+
+def _inline(text: str) -> str:
+    kind = ' class="long"' if len(unescape(text)) > 2 * LONGEST else ""  # may break anywhere in a narrow column
+    return f"<code{kind}>{_paths(_whole(text))}</code>"
 
 
 def _commands(block: str) -> str:
@@ -39,7 +44,9 @@ def _whole(text: str) -> str:
 
 
 def _paths(text: str) -> str:
-    # a long path may break after each folder
+    # a long path may break after each folder and file
     if len(text) <= LONGEST:
         return text
-    return "".join(part if part.startswith("<") else re.sub(r"/(?=\w)", "/<wbr>", part) for part in _TAG.split(text))
+    return "".join(
+        part if part.startswith("<") else re.sub(r"(/|::)(?=\w)", r"\1<wbr>", part) for part in _TAG.split(text)
+    )
