@@ -181,7 +181,7 @@ class Assessment:
 
     def accepted(self, *parts: str) -> bool:
         """Whether no line that counts fails, and each line of these parts holds: a command then ends with status 0."""
-        lines = [line for name in parts if name in self.parts for line in self.parts[name].lines]
+        lines = [line for name in parts if name in self.parts for line in self.parts[name].lines if line.counts]
         return self.passed is not False and all(line.passed for line in lines)
 
     def verdict(self, *parts: str) -> str:
@@ -201,6 +201,11 @@ class Assessment:
     def decisive(self) -> list[str]:
         """The lines that fail or are not decided, with their marks."""
         return [f"{line.mark} {line.text}" for line in self.lines if line.rank < 2]
+
+    @property
+    def caveats(self) -> list[str]:
+        """The remarks on what a proved region does not cover: the start of the run."""
+        return [line.text for line in self.lines if line.about == "region" and line.rank == 3 and not line.passed]
 
     @property
     def failures(self) -> list[str]:
@@ -458,6 +463,9 @@ class Region(Protocol):
     def lines(self) -> list[str]:
         """Return lines that state the claim."""
 
+    def value(self, state: ArrayLike) -> float:
+        """Return the function of the proved region at a state of plant and controller, see `Solution.value`."""
+
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
@@ -542,10 +550,16 @@ class ClosedLoop:
         if (level := solution.level) is None:
             return Part((), (line,), solution)
         share = level / solution.falsified if proved and solution.falsified else float("nan") if proved else 0.0
-        figure = Figure(
-            "region_share", share, "1", "certified level over the least level with a counterexample", "high"
-        )
-        return Part((figure,), (line,), solution)
+        meaning = "certified level over the least level with a counterexample"
+        figures, lines = [Figure("region_share", share, "1", meaning, "high")], [line]
+        start = run_numbers(self.system, self.values).start[0] if proved else []
+        if proved and not np.isnan(value := solution.value([*start, *self.system.controller.initial_state()])):
+            inside = value < level
+            text = f"the run starts at V = {value:.4g}, {'inside' if inside else 'outside'} the region"
+            text += f" (V < {level:.4g}): {'the proof covers it' if inside else 'simulated, not proved'}"
+            lines.append(Line(inside or None, text, "region", counts=False))
+            figures.append(Figure("start_share", value / level, "1", "V at the start of the run over the level", None))
+        return Part(tuple(figures), tuple(lines), solution)
 
 
 def cost_verdicts(name: str, cost: Cost, value: float, *, duration: float, dt: float) -> list[Line]:
@@ -572,5 +586,5 @@ def cost_verdicts(name: str, cost: Cost, value: float, *, duration: float, dt: f
     bound = "" if cost.at_most is None else f", at most {cost.at_most:g} {cost.unit}"
     passed = None if cost.at_most is None else bool(value <= cost.at_most)
     more = " until the end of the run, so the last time is not known" if lasts else ""
-    text = f"{name} = {value:.6g} {cost.unit}{more}{bound}"
+    text = f"{name} has no value{bound}" if np.isnan(value) else f"{name} = {value:.6g} {cost.unit}{more}{bound}"
     return [Line(None if lasts and passed else passed, text, "run", counts=cost.at_most is not None)]

@@ -167,7 +167,8 @@ def _status() -> int:
         status = 0
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
-        print_message(f"{error.format_message()}; see {context.command_path if context else 'surctl'} --help")
+        said = f"{error.format_message()}; see {context.command_path if context else 'surctl'} --help"
+        print_message(said.replace("'. (", "' (").replace("?);", ");").replace(".;", ";"))
         status = 2
     except SurctlError as error:
         print_message(str(error))

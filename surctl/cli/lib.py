@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from surctl.system.linear_loop import EDGE
     from surctl.system.loop import ENDED
     from surctl.system.subjects import is_subject, load_subject, registered_subjects
-    from surctl.system.values import check_scalar, checked_ranges, default_of, run_numbers
+    from surctl.system.values import check_scalar, checked_ranges, run_numbers
     from surctl.tuning import (
         DaskExecutor, Design, Executor, LocalExecutor, RunGoal, SobolIndices, SweepSubject, SweepTable, SystemRequest,
         SystemSweep, Tuning, judge_loops, load_loop_goals, parse_axis, sobol_indices, summary, sweep, tune,

@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import wraps
 from pathlib import Path
 from textwrap import wrap
 from types import FrameType
@@ -217,7 +218,7 @@ _FOLDER = "surctl.folder"  # key of the command's context: folder of files, and 
 _LOST_FILES = "surctl.lost_files"  # key of the command's context: what was not saved, counted by kind
 
 
-_VERBOSE = "surctl.verbose"  # key of the command's context
+_VERBOSE, _BEGAN = "surctl.verbose", "surctl.began"  # keys of the command's context
 
 
 def _set_verbose(context: click.Context, option: click.Parameter, value: bool) -> None:
@@ -226,11 +227,27 @@ def _set_verbose(context: click.Context, option: click.Parameter, value: bool) -
 
 def as_json(command: C) -> C:
     """Add the options of the output, `--json` and `--verbose`, to a command that ends with `finish`."""
+
+    @wraps(command)
+    def call(**values: Any) -> Any:
+        click.get_current_context().meta[_BEGAN] = time.time()
+        with stoppable(""):
+            return command(**values)
+
     text = f"Print all lines, not only a summary of {_MOST} lines."
     kind: dict[str, Any] = {"expose_value": False, "envvar": "SURCTL_VERBOSE", "callback": _set_verbose, "help": text}
-    command = click.option("--verbose", "-v", is_flag=True, **kind)(command)
+    call = click.option("--verbose", "-v", is_flag=True, **kind)(call)
     text = "Print the results as one JSON object on stdout."
-    return click.option("--json", "as_json", is_flag=True, help=text)(command)
+    return cast("C", click.option("--json", "as_json", is_flag=True, help=text)(call))
+
+
+def _finished(said: str) -> str:
+    """Return that files of this command are in its folder, if there are any, and `said` does not name the folder."""
+    context = click.get_current_context(silent=True)
+    out = None if context is None else context.params.get("out")
+    if context is None or out is None or not out.is_dir() or str(out) in said:
+        return ""
+    return f"what is finished is in {out}" * any(f.stat().st_mtime >= context.meta[_BEGAN] for f in out.iterdir())
 
 
 def finite(value: Any) -> Any:
@@ -413,14 +430,15 @@ def stoppable(
     try:
         yield
     except (Exception, KeyboardInterrupt) as error:
-        if not interrupted(error):
+        if isinstance(error, click.exceptions.Exit) or not interrupted(error):
             raise
         if lines and not as_json:
             sys.stdout.write("\n".join(lines) + "\n")
             sys.stdout.flush()
         else:
             above = ""
-        raise Stopped("; ".join(filter(None, (above, message))) or "no result was finished") from None
+        said = "; ".join(filter(None, (above, message)))
+        raise Stopped("; ".join(filter(None, (said, _finished(said)))) or "no result was finished") from None
 
 
 def interrupted(error: BaseException | None) -> bool:

@@ -128,7 +128,9 @@ def _ran(own: OwnSystem, values: Mapping[str, Any], duration: float, out: Path |
     then = [own.command("verify", *own.settings), *swept[:1]] if record.stopped != lib.LOST else []
     good = [line for line in judged if line.startswith("ok ")]
     brief = [own.end_text(record), *(line for line in judged if line not in good)]
-    brief += [*(" ".join(line.split()) for line in costs), *good]
+    failed = {line.text.partition(" = ")[0] for line in assessment.lines if line.rank < 2}
+    shown = [] if record.lost else [words for line in costs if (words := line.split())[0] not in failed]
+    brief += [*map(" ".join, shown), *good]
     lines = [brief[0], *costs, *judged, *(f"  {file}" for file in files)]
     return Ran(data, lines, brief, assessment.accepted(), then)
 

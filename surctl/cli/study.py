@@ -62,6 +62,7 @@ def conduct_study(
     lines += [f"report {report}"] if report else []
     # the verdict itself is about the worst line unless all holds
     weakest = assessment.weakest(3, *study.decided)[assessment.passed is not True :]
-    brief = [head, *(f"{line.mark} {line.text}" for line in weakest)]
+    worst = [f"{line.mark} {line.text}" for line in weakest]
+    brief = [head, *worst[:1], *assessment.caveats, *worst[1:]]
     files = [*([f"report {report}"] if report else []), f"code {code}"]
     finish(study.to_dict(), lines, as_json=as_json, passed=study.passed, then=then(), brief=brief, files=files)

@@ -334,12 +334,9 @@ class RegionWords:
         Raises:
             InputError: see `sampled_dynamics`; or the function, the level or the rate is not valid.
         """
-        import numpy as np
-
         try:
             dynamics = lib.sampled_dynamics(system, self.within, values=values, ranges=self.ranges)
-            own = {name: lib.default_of(system, name) for name in {**system.ranges, **self.ranges}}
-            lib.require_common(dynamics, {name: float(np.ravel(values.get(name, one))[0]) for name, one in own.items()})
+            lib.require_common(dynamics)
         except NotApplicable as reason:
             return reason
         numbers: dict[str, float | None] = {}

@@ -234,6 +234,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
         data["region"] = solution.to_dict()
     lines += [f"{line.mark} {line.text}" for line in assessment.lines]
     decisive = sorted(assessment.lines, key=lambda line: (line.rank, line.about != "region"))
+    brief = [f"{line.mark} {line.text}" for line in decisive]
     passed = assessment.accepted("loop", "region")
     settings = [word for word in others if not word.startswith("start.")]
     # without a duration of the system, a run of 100 periods
@@ -242,6 +243,6 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     then += [shlex.join(["surctl", "check", str(file), "--bundle", "firmware"]) for file in files[:1]]
     finish(
         {**own.names, **data, "assessment": assessment.to_dict()}, lines, as_json=as_json, passed=passed,
-        then=then if passed else (), brief=[f"{line.mark} {line.text}" for line in decisive],
+        then=then if passed else (), brief=[*brief[:1], *assessment.caveats, *brief[1:]],
         files=[f"certificate, plot {out}"] if files else [],
     )  # fmt: skip

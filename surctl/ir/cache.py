@@ -119,7 +119,8 @@ def find_compiler() -> str:
             return name
     packaged = packaged_compiler()
     if packaged is None:
-        remedy = "install one (pip install ziglang, or on Debian: apt install gcc) or set CC"
+        pip = f"{shlex.quote(sys.executable)} -m pip install ziglang"
+        remedy = f"install one ({pip}, or on Debian: apt install gcc) or set CC"
         raise ToolMissing("no C compiler found (cc, gcc, clang)", remedy=remedy)
     return packaged
 

@@ -31,6 +31,8 @@ class Range:
         upper: largest value, in `unit`.
         unit: SI unit.
         meaning: description of the quantity.
+        typed: the name in a system, such as "controller.sum", which no expression may contain; empty if it is `name`.
+        nominal: value of a parameter in a system; None means the middle of the range.
     """
 
     name: str
@@ -38,6 +40,8 @@ class Range:
     upper: float
     unit: str = "1"
     meaning: str = ""
+    typed: str = field(default="", kw_only=True)
+    nominal: float | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -224,11 +228,11 @@ class Dynamics:
     def inner_level(self, p: Array, level: float) -> float:
         """Return the level of ξ' P ξ about the stated equilibrium in {ξ' P ξ ≤ level} about any other; 0 if none is.
 
-        The result is `level` if the equilibrium does not move.
+        The result is `level` if the equilibrium does not move; else it is rounded down to six digits.
         """
         extent = float(self.radii @ np.sqrt(np.diag(p))) * (1 + 1e-9)
         apart = np.sqrt(level) - extent
-        return level if not self.shifts else float(f"{apart**2:.6g}") * (1 - 1e-6) if apart > extent else 0.0
+        return level if not self.shifts else float(f"{(1 - 1e-5) * apart**2:.6g}") if apart > extent else 0.0
 
     @property
     def ranges(self) -> Array:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from types import MappingProxyType
 
 import numpy as np
 from flint import fmpq, fmpq_mat
@@ -195,29 +193,30 @@ def exact_root(rates: Sequence[Node], near: Mapping[str, Fraction], moving: Sequ
     return root if end is not None and not any(end) else None
 
 
-def require_common(dynamics: Dynamics, values: Mapping[str, float] = MappingProxyType({})) -> None:
-    """Raise NotApplicable unless the equilibrium lies inside the box and is one for all parameters.
-
-    `values` are those of a system's parameters: the message names `plant.mass` for `plant_mass` of its dynamics, and
-    proposes its value. For other parameters it proposes the middle of the range.
-    """
+def require_common(dynamics: Dynamics) -> None:
+    """Raise NotApplicable unless the equilibrium lies inside the box and is one for all parameters."""
     d = dynamics
     for s in d.states:
         if not s.lower < s.equilibrium < s.upper:
             because = f"it rests at {s.name} = {s.equilibrium:.6g} {s.unit}, not in [{s.lower:g}, {s.upper:g}] {s.unit}"
             raise NotApplicable(because, to="the loop", key=f"within.{s.name}")
     if not d.shifts and not d.rests():
-        middle = [replace(p, lower=m, upper=m) for p, m in zip(d.parameters, d.ranges.mean(axis=0), strict=True)]
-        alone = [(*middle[:k], p, *middle[k + 1 :]) for k, p in enumerate(d.parameters)]
-        typed = {re.sub(r"\W+", "_", name): name for name in values}
-        held = [m for m, one in zip(middle, alone, strict=True) if not replace(d, parameters=one).rests()] or middle
-        moving = {(name := typed.get(p.name, p.name)): f"{values.get(name, p.lower):.6g}" for p in held}
-        words = " ".join(f"{name}={value}..{value}" for name, value in moving.items())
-        because = (
-            f"its equilibrium moves with {', '.join(moving)}, too far for one region about all of them: give {words}"
-        )
-        because += f" (the proof then holds for {'this value' if len(moving) == 1 else 'these values'} only)"
+        moving, words = held_parameters(d)
+        because = f"its equilibrium moves with {moving}, too far for one region about all of them: {words}"
         raise NotApplicable(because, to="the loop", key=f"{d.name}.equilibrium")
+
+
+def held_parameters(dynamics: Dynamics) -> tuple[str, str]:
+    """Return the parameters that move the equilibrium, and constant values to give instead of their ranges, as text."""
+    d = dynamics
+    middle = [replace(p, lower=m, upper=m) for p, m in zip(d.parameters, d.ranges.mean(axis=0), strict=True)]
+    still = refined(replace(d, parameters=tuple(middle), shifts={}))
+    alone = [(*middle[:k], p, *middle[k + 1 :]) for k, p in enumerate(d.parameters)]
+    held = [m for m, one in zip(middle, alone, strict=True) if not replace(still, parameters=one).rests()] or middle
+    values = {p.typed or p.name: f"{p.lower if p.nominal is None else p.nominal:.6g}" for p in held}
+    words = " ".join(f"{name}={value}..{value}" for name, value in values.items())
+    words += f" (the proof then holds for {'this value' if len(held) == 1 else 'these values'} only)"
+    return ", ".join(values), f"give {words}"
 
 
 def inexact(dynamics: Dynamics) -> bool:

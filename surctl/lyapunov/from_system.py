@@ -172,7 +172,8 @@ def _dynamics(
             raise InputError("is a state", key=name, remedy=f"write within.{name.removeprefix('start.')}")
         free.append(ca.SX.sym(name))
         flat[group][place] = free[-1]
-        parameters.append(Range(_identifier(name), low, high, unit_of(system, name)))
+        nominal = getattr(numbers, group)[0][place].item()
+        parameters.append(Range(_identifier(name), low, high, unit_of(system, name), typed=name, nominal=nominal))
     t = ca.SX.sym("t")
     moves = [k for k, label in enumerate(labels) if label in within and within[label][0] != within[label][1]]
     try:
@@ -199,7 +200,8 @@ def _dynamics(
     states = []
     for k in moves:
         low, high = within[labels[k]]
-        states.append(State(_identifier(labels[k]), low, high, units[k], "", rest[k], to_the_bit=True))
+        name = _identifier(labels[k])
+        states.append(State(name, low, high, units[k], "", rest[k], to_the_bit=True, typed=labels[k]))
     names = [v.name for v in (*states, *parameters)]
     nodes = constants.expressions(ca.vertcat(symbols, *free), names, rates[moves])
     vectors = {"state": whole, **flat, "reference": reference, "disturbance": disturbance}

@@ -207,6 +207,11 @@ def hugged(dynamics: Dynamics, function: Node, level: float) -> Dynamics:
         >>> hugged(cubic, parse("x^2", x), 0.25).box.round(2).tolist()
         [[-0.51], [0.51]]
     """
+    return bounded(dynamics, farthest(dynamics, function, level))
+
+
+def farthest(dynamics: Dynamics, function: Node, level: float) -> Array:
+    """Return how far (2, n) the region V < level reaches below and above the equilibrium in each state, in the box."""
     d, n = dynamics, len(dynamics.states)
     scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
     z = ca.SX.sym("z", n)
@@ -215,7 +220,7 @@ def hugged(dynamics: Dynamics, function: Node, level: float) -> Dynamics:
     if hessian.is_constant() and np.all(np.linalg.eigvalsh(matrix := np.asarray(ca.DM(hessian)) / 2) > 0):
         # a quadratic form about the equilibrium
         far = np.sqrt(level * np.diag(np.linalg.inv(matrix))) * scales
-        return bounded(d, np.array([far, far]))
+        return np.array([far, far])
     from scipy.optimize import minimize
 
     read = ca.Function("value", [z], [value])
@@ -232,18 +237,18 @@ def hugged(dynamics: Dynamics, function: Node, level: float) -> Dynamics:
         "fun": lambda at: 1 - float(read(at)) / level,  # V in any unit: tolerances of the search are absolute
         "jac": lambda at: -np.asarray(slope(at)).reshape(-1) / level,
     }
-    extents = np.zeros((2, n))
+    reached = np.zeros((2, n))
     for k in range(n):
         for side, sign in enumerate((-1.0, 1.0)):
             start = points[:, np.argmax(sign * points[k])]
             toward = -sign * np.eye(n)[k]
-            farthest = minimize(
+            outermost = minimize(
                 lambda at, toward=toward: float(toward @ at), start, jac=lambda at, toward=toward: toward,
                 constraints=[inner], bounds=edge.T, method="SLSQP",
             )  # fmt: skip
-            far = max(sign * start[k], sign * farthest.x[k] if farthest.success else 0.0)
-            extents[side, k] = far * scales[k]
-    return bounded(d, extents)
+            far = max(sign * start[k], sign * outermost.x[k] if outermost.success else 0.0)
+            reached[side, k] = far * scales[k]
+    return reached
 
 
 def enclosing(dynamics: Dynamics, covers: Array, level: float) -> Dynamics:

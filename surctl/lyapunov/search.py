@@ -13,7 +13,7 @@ from surctl.lyapunov.candidates import Candidate, candidates, strict_variants
 from surctl.lyapunov.claims import Stability
 from surctl.lyapunov.decide import Decision, decide_motion, has_any, prove_by_slopes, prove_motion
 from surctl.lyapunov.dynamics import Dynamics
-from surctl.lyapunov.equilibrium import Linear, inexact, linearisation
+from surctl.lyapunov.equilibrium import Linear, held_parameters, inexact, linearisation
 from surctl.lyapunov.falsified import Falsified, least_level
 from surctl.lyapunov.near import Failure, fails_nearby, point_text, short, stationary_state, too_fast
 from surctl.lyapunov.rays import enclosing, hugged
@@ -148,7 +148,7 @@ def find_stability(
             return StabilityResult("unknown", f"no region of the sampled loop is proved, and the law {_JUMPS}")
     if d.shifts:
         moving = search.by_slopes(until - time.process_time()) if searched else None
-        return moving or StabilityResult("unknown", _SHIFTED)
+        return moving or StabilityResult("unknown", f"{_SHIFTED}: {held_parameters(d)[1]}")
     few = len(d.states) <= _FEW
     hard = has_any(d, BRANCHING) or len(d.variables) > _MANY or inexact(d)
     if searched and hard:
@@ -247,6 +247,9 @@ class _Search:
         p = form_of(candidate.function, d.names)
         for wide in _SAFE:
             level = d.inner_level(p, wide)
+            if not level > 0:  # nor is a smaller one
+                self.say(f"{candidate.label}: no region is found that contains the equilibria of all parameters")
+                break
             cover = np.asarray(np.linalg.inv(p)[None], dtype=float)
             tight = enclosing(d, cover, wide) if d.shifts else hugged(d, candidate.function, level)
             radii = {name: d.shifts[name] for name in d.names if d.shifts}

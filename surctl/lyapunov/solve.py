@@ -1,4 +1,4 @@
-"""Solve a problem: what its file leaves open, the time limit, a weaker claim instead, limits that never act."""
+"""Solve a problem: what its file leaves open, the time limit, a weaker claim instead, the extent of a region."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from surctl.errors import InputError
 from surctl.lyapunov.barrier_search import decide_safety, find_barrier
-from surctl.lyapunov.claims import Safety, every_digit
+from surctl.lyapunov.claims import Bound, Safety, Stability, every_digit
 from surctl.lyapunov.decide import Decision, decide_motion
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import at_equilibrium, equilibria, linearisation
 from surctl.lyapunov.from_system import HELD_COMMANDS, NOT_COVERED
 from surctl.lyapunov.problem import Problem
+from surctl.lyapunov.rays import farthest
 from surctl.lyapunov.sampled import SampledStability
 from surctl.lyapunov.search import find_stability, unprovable
-from surctl.verification.falsifier import sobol
-from surctl.verification.formula import Node, ordered, parse, text_of, values_of
+from surctl.verification.formula import parse, text_of, values_of
 from surctl.verification.formula.parser import clipped, decimal_text
 
 # What is proved about dynamics where a claim is not: a lower level, a lower rate, narrower ranges, a smaller box
@@ -57,74 +58,19 @@ def _weaker(problem: Problem) -> Iterator[tuple[str, Problem]]:
         yield f"rate = {problem.rate / 4:.4g}", replace(problem, rate=problem.rate / 4)
     d = problem.dynamics
     if any(p.lower < p.upper for p in d.parameters):
-        middle = _shrunk(d)
-        ranges = ", ".join(f"{p.name} in [{p.lower:.4g}, {p.upper:.4g}]" for p in middle.parameters)
+        # every parameter in the middle half of its range
+        ends = [((3 * p.lower + p.upper) / 4, (p.lower + 3 * p.upper) / 4) for p in d.parameters]
+        halves = [replace(p, lower=low, upper=high) for p, (low, high) in zip(d.parameters, ends, strict=True)]
+        middle = replace(d, parameters=tuple(halves))
+        ranges = ", ".join(f"{p.typed or p.name} in [{p.lower:.4g}, {p.upper:.4g}]" for p in middle.parameters)
         yield ranges, replace(problem, dynamics=middle)
     if problem.function is None:
-        bounds = {s.name: ((s.lower + s.equilibrium) / 2, (s.upper + s.equilibrium) / 2) for s in d.states}
-        box = ", ".join(f"{name} in [{low:.4g}, {high:.4g}]" for name, (low, high) in bounds.items())
-        yield box, replace(problem, dynamics=d.on(bounds))
+        smaller = d.on({s.name: ((s.lower + s.equilibrium) / 2, (s.upper + s.equilibrium) / 2) for s in d.states})
+        box = ", ".join(f"{s.typed or s.name} in [{s.lower:.4g}, {s.upper:.4g}]" for s in smaller.states)
+        yield box, replace(problem, dynamics=smaller)
 
 
-def _shrunk(d: Dynamics) -> Dynamics:
-    # every parameter in the middle half of its range
-    halves = [replace(p, lower=(3 * p.lower + p.upper) / 4, upper=(p.lower + 3 * p.upper) / 4) for p in d.parameters]
-    return replace(d, parameters=tuple(halves))
-
-
-# Whether the limits in the rates of dynamics, such as a saturation, act inside a region V < level
-
-
-_SAMPLES, _NEAR = 2048, (1.0, 0.3, 0.1, 0.03, 0.01)
-_FEWEST = 64  # samples of a region that say something about it
-
-
-def limits_sentence(dynamics: Dynamics, function: Node, level: float, whole: Dynamics) -> str:
-    """Return a sentence if no limit (min or max) of the rates acts at samples of V < level; empty if one acts.
-
-    A limit acts where another one of its two arguments decides than at the equilibrium.
-
-    Args:
-        dynamics: the dynamics of the claim.
-        function: V, an expression of the states.
-        level: level of the region.
-        whole: the same dynamics with the bounds of the problem, to find where a limit acts.
-
-    Example:
-        >>> from surctl.lyapunov import Dynamics, State
-        >>> from surctl.lyapunov.solve import limits_sentence
-        >>> from surctl.verification.formula import parse, variable
-        >>> x = {"x": variable("x")}
-        >>> held = Dynamics("held", "continuous", (State("x", -2.0, 2.0),), (parse("max(-1, min(1, -2*x))", x),))
-        >>> limits_sentence(held, parse("x^2", x), 0.2, held)
-        'no limit (min, max) in the dynamics acts at 16258 samples of the region; one acts at V = 0.25'
-        >>> limits_sentence(held, parse("x^2", x), 0.3, held)
-        ''
-    """
-    limits = [node for node in ordered(*dynamics.rates) if node.op in ("min", "max")]
-    if not limits:
-        return ""
-    roots = [function, *(argument for node in limits for argument in node.args)]
-    states, rest = len(dynamics.states), dynamics.equilibrium[:, None]
-    unit = sobol(states + len(dynamics.parameters), _SAMPLES, 0)
-    low, high = dynamics.ranges[:, :, None]
-    boxes = (dynamics.box[:, :, None], whole.box[:, :, None])
-    spread = [start - rest + (end - start) * unit[:states] for start, end in boxes]
-    x = rest + np.hstack([part * near for part in spread for near in _NEAR])
-    w = np.tile(low + (high - low) * unit[states:], 2 * len(_NEAR))
-    names = [v.name for v in dynamics.variables]
-    values = values_of(roots, dict(zip(names, (*x, *w), strict=True)))
-    still = values_of(roots, dict(zip(names, (*np.broadcast_to(rest, x.shape), *w), strict=True)))
-    acts = np.any((values[1::2] - values[2::2]) * (still[1::2] - still[2::2]) <= 0, axis=0)
-    v = values[0]
-    inside = v < level
-    if inside.sum() < _FEWEST or np.any(acts & inside):
-        return ""
-    text = f"no limit (min, max) in the dynamics acts at {inside.sum()} samples of the region; "
-    beyond = v[acts & np.isfinite(v)]
-    return text + (f"one acts at V = {beyond.min():.3g}" if beyond.size else "nor at any sample of the box")
-
-
+_HELD = 1e-9  # largest distance of a state that is held in a proof from its value there
 _HELP, _HELP_MOST = 0.2, 10.0  # share of the time limit for weaker claims, and the most [s]
 _MULTIPLIERS = ("0", "-1", "-0.1", "1", "-10")
 
@@ -197,6 +143,9 @@ class Solution:
             return [*lines, *stated_lines(self.problem.dynamics, self.problem.kind), *then]
         claim, first = decision.claim, decision.claim.statement
         letter = "B" if claim.kind == "barrier" else "V"
+        pairs = zip(self.extent.items(), self.problem.dynamics.states, strict=False)
+        if reached := ", ".join(_range_text(label, *ends, s.unit) for (label, ends), s in pairs):
+            name += f" ({reached})"
         if self.verdict != "proved":
             fate = "is refuted" if self.verdict == "refuted" else "is neither proved nor refuted"
             first = f"the claim that {first} {fate}{f': {self.reason}' * bool(self.reason)}"
@@ -212,17 +161,33 @@ class Solution:
             lines.append(f"  level {self.level:g} is {100 * share:.1f} % of the least level with a counterexample")
         if decision.rule and self.verdict == "proved":
             lines.append(f"  proved by {decision.rule}")
-        if self.limits:
-            lines.append(f"  {self.limits}")
         return [*lines, *then]
 
     @cached_property
-    def limits(self) -> str:
-        """That no limit of the rates acts in a proved region; empty if one acts, or if the rates have none."""
-        claim = None if self.decision is None or self.verdict != "proved" or self.vacuous else self.decision.claim
-        if claim is None or isinstance(claim, Safety):
-            return ""
-        return limits_sentence(claim.dynamics, claim.function, claim.level, self.dynamics)
+    def extent(self) -> Mapping[str, tuple[float, float]]:
+        """Least and largest value of each state in a proved region, by label; empty without a region."""
+        claim = self.decision.claim if self.decision is not None and self.document and not self.vacuous else None
+        if not isinstance(claim, Stability | Bound):
+            return {}
+        d = claim.dynamics
+        ends = d.equilibrium + np.array([[-1.0], [1.0]]) * farthest(d, claim.function, claim.level)
+        return {s.typed or s.name: (low, high) for s, low, high in zip(d.states, *ends.tolist(), strict=True)}
+
+    def value(self, state: ArrayLike) -> float:
+        """Return V of a system's region at a state of plant and controller, flat; NaN if its loop is not known.
+
+        The value is infinite outside the box, and where a state that is held in the proof has another value.
+        """
+        about = self.problem.dynamics.about
+        if self.decision is None or not about:
+            return float("nan")
+        claim, entries = self.decision.claim, [*about["plant_state"], *about["controller_state"]]
+        pairs = list(zip(entries, np.ravel(state).tolist(), strict=True))
+        at = {entry: x for entry, x in pairs if isinstance(entry, str)}
+        value = float(values_of([claim.function], {name: np.array([x]) for name, x in at.items()})[0, 0])
+        held = all(abs(x - entry) <= _HELD for entry, x in pairs if entry not in at)
+        inside = all(s.lower <= at[s.name] <= s.upper for s in self.problem.dynamics.states)
+        return value if held and inside else float("inf")
 
     @property
     def dynamics(self) -> Dynamics:
@@ -246,9 +211,9 @@ class Solution:
             "equilibrium": {s.name: s.equilibrium for s in self.problem.dynamics.states},
             "radius": claim.get("radius"),
             "level": claim.get("level"),
+            "extent": {label: list(pair) for label, pair in self.extent.items()} or None,
             "rate": claim.get("rate"),
             "falsified_level": self.falsified,
-            "limits": self.limits or None,
             "search": self.origin or None,
             "seconds": self.seconds,
         }
@@ -364,6 +329,12 @@ def _moving(d: Dynamics) -> str:
         known = f"; in the box, equilibria are {others}" if others else ""
         return f"{at} is not an equilibrium: the largest rate there is {error.value}{known}"
     return ""
+
+
+def _range_text(label: str, low: float, high: float, unit: str) -> str:
+    """Return a range with three digits of its width."""
+    decimals = 2 - int(np.floor(np.log10(high - low)))
+    return f"{label} {round(low, decimals):.10g} to {round(high, decimals):.10g}{f' {unit}' * (unit != '1')}"
 
 
 def stated_lines(

@@ -33,8 +33,8 @@ Array = NDArray[np.float64]
 _UNDEFINED_WITHIN = 1e-12
 
 
-def _undefined_operation(function: ca.Function, arguments: Sequence[Array]) -> str:
-    """Return the first operation without a finite value or derivative there, as text; empty if none is found."""
+def _undefined_operation(function: ca.Function, arguments: Sequence[Array], *, slope: bool) -> str:
+    """Return the first operation without a finite value, or derivative (`slope`), as text; empty if none is found."""
     try:
         program = lower(function)
     except InputError:  # an operation that the instruction list does not support
@@ -42,9 +42,10 @@ def _undefined_operation(function: ca.Function, arguments: Sequence[Array]) -> s
     count = len(program.instructions)
     every = Program(program.name, program.inputs, (("all", count),), program.instructions, (tuple(range(count)),))
     values = replay(every, *(np.array(one, dtype=float).reshape(-1) for one in arguments))[0]
-    for instruction in program.instructions:
+    for instruction, value in zip(program.instructions, values, strict=True):
         operands = [float(values[k]) for k in instruction.args] if instruction.op not in ("const", "input") else []
-        if np.isfinite(operands).all() and _singular(instruction.op, operands):
+        undefined = _singular(instruction.op, operands) if slope else bool(operands) and not np.isfinite(value)
+        if np.isfinite(operands).all() and undefined:
             return _text(instruction.op, operands)
     return ""
 
@@ -344,15 +345,15 @@ class _Rest:
         labels, (x, z, b) = _state_labels(self.system), self._split(point)
         row = int(np.argmax(rows))
         what = f"the rate of `{labels[row]}`"
-        if np.isfinite(error[row]):
+        if slope_only := bool(np.isfinite(error[row])):
             column = int(np.argmax(~np.isfinite(slope[row])))
             what = f"the derivative of {what} by `{labels[column]}`"
         law, numbers = self.functions["control"], self._constants(b)
         measured, _ = self.functions["measure"](x, *numbers)
         u = self.functions["inputs"](measured, self.reference)
         f = law.call([z, u, self.numbers.gains[0]])[0]
-        plant = _undefined_operation(self.functions["rate"], [x, f, *numbers])
-        cause = plant or _undefined_operation(law, [z, u, self.numbers.gains[0]])
+        plant = _undefined_operation(self.functions["rate"], [x, f, *numbers], slope=slope_only)
+        cause = plant or _undefined_operation(law, [z, u, self.numbers.gains[0]], slope=slope_only)
         where = f" of the {'plant' if plant else 'law'}" if cause else ""
         raise InputError(
             f"{what} is not finite where the search ends ({_place(labels, point)})"

@@ -133,8 +133,14 @@ def test_a_marginal_loop_is_open_and_names_its_states_and_a_run_at_rest_judges_n
     [("proved", "", True), ("proved", "empty", None), ("unknown", "", None), ("refuted", "", False)],
 )
 def test_a_claimed_region_counts_by_its_verdict(verdict: str, vacuous: str, passed: bool | None) -> None:
-    claim = SimpleNamespace(verdict=verdict, vacuous=vacuous, level=2.0, falsified=8.0, lines=lambda: [f"{verdict} it"])
+    claim = SimpleNamespace(
+        verdict=verdict, vacuous=vacuous, level=2.0, falsified=8.0, lines=lambda: [f"{verdict} it"],
+        value=lambda state: 3.0,
+    )  # fmt: skip
     result = assess(ClosedLoop(pendulum(), region=lambda: claim))
+    outside = "the run starts at V = 3, outside the region (V < 2): simulated, not proved"
+    assert result.caveats == ([outside] if passed else [])
+    assert [f.value for name, f in result.figures.items() if name == "start_share"] == ([1.5] if passed else [])
     assert result.passed is passed and any(f"{verdict} it" in line.text for line in result.lines)
     assert result.figures["region_share"].value == (0.25 if passed else 0.0)
 

@@ -117,3 +117,29 @@ def test_margins_are_printed_where_the_search_for_a_region_is_stopped(
     done = surctl_here("verify", "loop.py:build", "within.x=-1..1", cwd=tmp_path)
     assert done.status == 130 and done.out.startswith("ok   margins at the equilibrium: disk margin"), done
     assert done.err.splitlines()[-1] == "surctl: stopped; the region of attraction is not decided"
+
+
+@pytest.mark.parametrize(
+    ("words", "part", "file"),
+    [
+        (("verify", "within.x=-1..1"), "surctl.report.motion_plots.plot_motion", "cart.json"),
+        (("sweep", "k=1..2:2", "--seconds", "1"), "surctl.cli.sweep._pictures", "sweep.csv"),
+        (("simulate", "--seconds", "1"), "surctl.system.Record.plot", "cart-hold.csv"),
+    ],
+)
+def test_files_that_are_finished_when_a_command_is_stopped_are_named(
+    words: tuple[str, ...], part: str, file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    (tmp_path / "loop.py").write_text(LOOP)
+    monkeypatch.setattr(part, stopped)
+    command, *others = words
+    done = surctl_here(command, "loop.py:build", *others, "--out", "out", cwd=tmp_path)
+    assert done.status == 130 and (tmp_path / "out" / file).exists(), done
+    last = done.err.splitlines()[-1]
+    assert last.startswith("surctl: stopped; ") and last.endswith("what is finished is in out")
+    (tmp_path / "out" / "old").mkdir()
+    again = surctl_here(command, "loop.py:build", "no=1", *others, "--out", "out", cwd=tmp_path)
+    assert again.status == 2 and "finished" not in again.err

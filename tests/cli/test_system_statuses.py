@@ -9,6 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from surctl.cli.app import app
+from tests.cli.process import surctl_here
+from tests.cli.test_lost_output import LOOP
 from tests.tools import need_compiler
 
 # the disk margin is that of the gain k, and the speed has decayed to 0.2 m/s after ln(5)/k
@@ -110,5 +112,24 @@ def test_the_next_export_is_the_run_of_the_system_and_a_study_shows_its_region(
         assert then.split() == ["surctl", "export", "mine.py:good", *time, "--out", "firmware"]
     words = ["study", "mine.py:good", "k=1.5..2:2", "--seconds", "2"]
     summary = CliRunner().invoke(app, words).stdout.splitlines()
-    assert summary[1].startswith("ok   region of attraction: proved cart: sampled every 0.1 s") and len(summary) == 5
+    assert summary[1].startswith(
+        "ok   region of attraction: proved cart (speed -0.99 to 0.99 m/s): sampled every 0.1 s"
+    )
+    assert len(summary) == 5
     assert max(map(len, summary)) <= 100
+
+
+def test_a_cost_that_fails_is_shown_once_and_advice_of_the_parser_ends_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("SURCTL_VERBOSE", raising=False)
+    Path("loop.py").write_text(LOOP.replace('"at the end")', '"at the end", at_most=-1.0)'))
+    shown = CliRunner().invoke(app, ["simulate", "loop.py:build", "--seconds", "1"]).stdout
+    assert "\nFAIL final = 0.134218 m, at most -1 m" in shown and shown.count("final ") == 1
+    for words, end in (
+        (("--seconds", "abc"), "'abc' is not a valid float; see surctl simulate --help"),
+        (("--sensng", "x"), "'--sensng' (Did you mean one of: '--seconds', '--sensing'); see surctl simulate --help"),
+    ):
+        wrong = surctl_here("simulate", "loop.py:build", *words, cwd=tmp_path)
+        assert wrong.status == 2 and wrong.err.rstrip().endswith(end)

@@ -122,11 +122,11 @@ def test_the_commands_that_new_prints_run(tmp_path: Path, monkeypatch: pytest.Mo
     for line in written["next"]:
         done = run(*shlex.split(line)[1:])
         assert done.exit_code == 0, (line, done.output, done.exception)
-    assert {path.name for path in Path("plots").iterdir()} == {"pendulum-balance.png", "pendulum-balance.csv"}
+    assert {path.name for path in Path("plots").iterdir()} == {"my_loop-balance.png", "my_loop-balance.csv"}
     page = Path("surctl-out/report.html").read_text()
     assert page.count("<img") == 5  # run, loop, region, and the map of each cost
     assert "where the Lyapunov function V &lt; " in page and "Nyquist" in page
-    checked = run("check", "proofs/pendulum.json", "--bundle", "firmware")
+    checked = run("check", "proofs/my_loop.json", "--bundle", "firmware")
     assert checked.exit_code == 0 and "belongs to the controller" in checked.output
     manifest = json.loads(Path("firmware/manifest.json").read_text())
     assert manifest["commands"] == {"torque": "N m"} and manifest["evidence"]["run"]["reference"] == [0.0]

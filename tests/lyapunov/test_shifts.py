@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from surctl.assessment import ClosedLoop, assess
 from surctl.certcheck import check_document, seal
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.radii import require_rest
@@ -90,6 +91,39 @@ def test_a_craft_with_quadratic_drag_keeps_its_station_in_a_current(tmp_path: Pa
         for _ in range(1500):
             x = x + 0.02 * np.ravel(claim.dynamics.evaluate(x[:, None], np.array([[m], [b], [c]])))
         assert abs(x[0]) <= still and abs(x[1]) < 1e-4
+
+
+def test_a_region_says_how_far_it_reaches_and_whether_a_run_starts_in_it(proved: Any) -> None:
+    claim, level = proved.decision.claim, proved.level
+    assert level == float(f"{level:.6g}") and f"V < {level:g} " in proved.lines()[0]
+    (low, high), (slow, fast) = proved.extent["angle"], proved.extent["rate"]
+    for angle in (low, high):  # V = level only at one rate, and nowhere beyond
+        least = min(proved.value([angle, rate]) for rate in np.linspace(slow, fast, 2001))
+        assert least == pytest.approx(level, rel=1e-4)
+    assert f"pendulum (angle {low:.2f} to {high:.2f} rad, rate " in proved.lines()[0]
+    assert proved.to_dict()["extent"]["rate"] == [slow, fast]
+    assert proved.value(claim.dynamics.equilibrium) == 0 and np.isinf(proved.value([0.7, 0.0]))
+    for start, word in ((0.05, "inside"), (0.59, "outside")):
+        subject = ClosedLoop(pendulum(), {"start.angle": start}, region=lambda: proved)
+        result = assess(subject, parts=["region"])
+        share = result.figures["start_share"].value
+        assert share == pytest.approx(proved.value([start, 0.0]) / level) and (share < 1) == (word == "inside")
+        text = next(line.text for line in result.lines if line.text.startswith("the run starts at V = "))
+        assert f", {word} the region (V < " in text and result.accepted("region")
+        assert result.caveats == [text] * (word == "outside")
+
+
+def test_no_region_of_all_equilibria_is_said_once_with_a_constant_value_that_has_one() -> None:
+    told = list[str]()
+    wide = sampled_dynamics(pendulum(), {"angle": (-0.06, 0.06), "rate": (-0.3, 0.3)})
+    assert wide.shifts
+    solution = solve(Problem(wide, "lyapunov"), time_limit=2.0, progress=told.append)
+    assert solution.verdict == "unknown" and "disturbance.gust=0..0 (the proof" in solution.reason
+    assert "finds no region: give plant.mass=0.5..0.5 disturbance.gust" in solution.reason
+    assert len(told) == len(set(told)) <= 1
+    fixed = {"plant.mass": (0.5, 0.5), "disturbance.gust": (0.0, 0.0)}
+    still = sampled_dynamics(pendulum(), {"angle": (-0.06, 0.06), "rate": (-0.3, 0.3)}, ranges=fixed)
+    assert solve(Problem(still, "lyapunov"), time_limit=5.0).verdict == "proved"
 
 
 def test_the_checker_demands_an_equilibrium_within_the_radii_and_room_for_it(proved: Any) -> None:

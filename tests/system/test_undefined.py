@@ -47,3 +47,11 @@ def test_a_smooth_form_and_another_start_help() -> None:
     assert find_equilibrium(smooth).x == pytest.approx([0, 0], abs=1e-9)
     far = system(plant=lambda a, b: 2 * ca.sqrt(a) + 0 * b, law=nothing)
     assert find_equilibrium(far, {"start.pos": 3.0}).x == pytest.approx([4, 0], abs=1e-6)
+
+
+def test_what_is_not_finite_itself_is_named_before_what_has_no_derivative() -> None:
+    ode = lambda x, f, d, p: {"pos": x["vel"], "vel": (f["f"] - ca.sqrt(x["pos"] ** 2)) / p["mass"]}  # noqa: E731
+    cart = Plant("cart", STATES, FORCE, ode, parameters=Layout((Port("mass", (1,), "kg", "", 1.0),)))
+    push = Controller("push", 0.01, STATES, FORCE, lambda x, u, p: 1 - u["pos"])
+    with pytest.raises(InputError, match="because of 1/0 of the plant"):
+        linearise(System(cart, push), {"plant.mass": 0.0})
