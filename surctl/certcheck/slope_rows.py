@@ -218,24 +218,25 @@ class Rows:
         return at
 
     def _grouped(self, args: tuple[int, ...]) -> int | None:
-        """Return a product in which functions of one variable are multiplied first; None if it is one already.
+        """Return a product in which two functions of one variable are multiplied first; None for other products.
 
-        (p q) b is p (q b). If b is not 0 at the equilibrium, (p + q) b is p b + q b.
+        With a p without states, (p q) b is p (q b). If b is not 0 at the equilibrium, (a + p q) b is a b + p (q b).
         """
         for whole, b in (args, args[::-1]):
             op, parts, _ = self.table.entries[whole]
             for p, q in (parts, parts[::-1]) if op == "mul" else ():
-                if self.base[q] == self.base[b] >= 0 and self.base[p] != self.base[b]:
+                if self.base[p] < 0 <= self.base[b] == self.base[q]:
                     return self._put("mul", (p, self._put("mul", (q, b))))
-            if op in ("add", "sub") and self.rest[b] != _ZERO and any(self._factors(part, b) for part in parts):
+            if op in ("add", "sub") and self.rest[b] != _ZERO and any(self._shares(part, b) for part in parts):
                 first, second = (self._put("mul", (part, b)) for part in parts)
                 return self._put(op, (first, second))
         return None
 
-    def _factors(self, at: int, b: int) -> bool:
-        """Return whether a factor of an expression is a function of the same variable as b."""
+    def _shares(self, at: int, b: int) -> bool:
+        """Return whether an expression is a function of the same variable as b, or one times a p without states."""
         entry = self.table.entries[at]
-        return any(self.base[part] == self.base[b] >= 0 for part in (at, *(entry.args if entry.op == "mul" else ())))
+        factors = entry.args if entry.op == "mul" else (at,)
+        return [self.base[part] for part in factors if self.base[part] >= 0] == [self.base[b]]
 
     def _apart_from(self, op: str, args: tuple[int, ...]) -> int:
         """Return a + op(0, b − a) for op(a, b)."""

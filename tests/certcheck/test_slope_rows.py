@@ -30,7 +30,7 @@ EXPRESSIONS = (
     "max(x, min(y, p))", "(x + 1/3)*(y - p)*x", "abs(x + 3) - abs(y - 3)", "log(2 + x)/(2 + x)", "(p - 1)*(p + x)",
     "min(5, x) + max(5, y)", "abs(3 + x*y)", "min(x*y, x - 9)", "max(y, x*x - 9)", "(x + 2*y)*(x - y)", "x*p/(2 + p)",
     "(x - 0.3*p)*abs(x - 0.3*p)", "(4 + p*abs(x - 0.3*p))*(x - 0.3*p)", "p*x*abs(x)", "x*y*abs(x)", "x*(p*x*y)*y",
-    "(4 + p*abs(x))*x", "(x - 0.3*p)*(y - p*abs(x - 0.3*p) + x)", "(p*x - y)*x*x",
+    "(4 + p*abs(x))*x", "(x - 0.3*p)*(y - p*abs(x - 0.3*p) + x)", "(p*x - y)*x*x", "y*w*w",
 )  # fmt: skip
 
 
