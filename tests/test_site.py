@@ -227,7 +227,7 @@ _HIDDEN = """() => [...document.querySelectorAll("td[data-label]")]
   .filter((cell) => cell.getBoundingClientRect().right > innerWidth).map((cell) => cell.textContent)"""
 PAGES = (
     "index", "404", "explanation/priorities", "reference/equations", "reference/files/region",
-    "reference/commands/export", "tutorials/own-vehicle", "studies/index", "gallery/index",
+    "reference/commands/export", "tutorials/own-vehicle", "studies/index", "studies/27_own_law", "gallery/index",
 )  # fmt: skip
 # options and short names in tables that go over two lines, and headings whose link makes a line of its own
 _BROKEN = """() => {
