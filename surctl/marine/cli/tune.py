@@ -56,8 +56,8 @@ def tune(words: Sequence[str], options: TuneOptions, missions: TunedMissions, **
 
     The gains must meet the hard goals in every scenario, for every seed and at every corner of the parameter ranges of
     the vehicle; the search minimises the soft goals. With the tuned gains, surctl searches for counterexamples to the
-    claims of the paper by Li, Guo and Guo. Exit status: 1 if the gains miss a hard goal in search or test, or if a line
-    says FAIL.
+    corrected claims of the paper by Li, Guo and Guo. Exit status: 1 if the gains miss a hard goal in search or test, or
+    if a line says FAIL.
 
     For FILE.py:FUNCTION, a system of your own, the search minimises the first cost or, with --goals, the largest soft
     goal (value/bound). NAME=V1,V2 defines two cases, NAME = V1 and NAME = V2; in each case, the disk margin must be at
