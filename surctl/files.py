@@ -498,9 +498,14 @@ def changes(folder: Path) -> Callable[[], list[str]]:
     The command that a picture names is no part of its contents: it can be written in several ways.
     """
 
+    def digest(file: Path) -> str:
+        data = file.read_bytes()
+        # files of runs may be large, and a search takes a dozen times as long as the digest
+        return hashlib.sha256(_COMMAND.sub(b"", data) if file.suffix == ".png" else data).hexdigest()
+
     def contents() -> dict[str, str]:
         files = (file for file in folder.iterdir() if file.is_file() and os.access(file, os.R_OK))
-        return {file.name: hashlib.sha256(_COMMAND.sub(b"", file.read_bytes())).hexdigest() for file in files}
+        return {file.name: digest(file) for file in files}
 
     def changed() -> list[str]:
         after = contents()

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import matplotlib.pyplot as plt  # noqa: TID251
+import matplotlib.pyplot as plt  # noqa: TID251  # the examples draw with it
 import pytest
 
 import surctl

@@ -74,11 +74,17 @@ def _slopes(function: Tape, t: Ends) -> Ends:
 
     Below and above 0, the slopes of a function with a kink there, such as t |t|, have narrower ranges.
     """
+
+    def own(part: Ends) -> Ends:
+        [jet] = function.everywhere(part, order=1)
+        assert jet.slope is not None
+        return jet.slope
+
     across = (t[0] < 0) & (t[1] > 0)
-    below, above = (t[0], np.where(across, 0.0, t[1])), (np.where(across, 0.0, t[0]), t[1])
-    [low], [high] = (function.everywhere(part, order=1) for part in (below, above))
-    assert low.slope is not None and high.slope is not None
-    return np.minimum(low.slope[0], high.slope[0]), np.maximum(low.slope[1], high.slope[1])
+    if not across.any():
+        return own(t)
+    below, above = own((t[0], np.where(across, 0.0, t[1]))), own((np.where(across, 0.0, t[0]), t[1]))
+    return np.minimum(below[0], above[0]), np.maximum(below[1], above[1])
 
 
 def _common(a: Ends, b: Ends) -> Ends:

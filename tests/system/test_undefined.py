@@ -9,7 +9,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
-from surctl.system import Controller, Plant, System, find_equilibrium, linearise
+from surctl.system import Controller, Parts, Plant, System, find_equilibrium, linearise
 
 STATES = Layout((Port("pos", (1,), "m", ""), Port("vel", (1,), "m/s", "")))
 FORCE = Layout((Port("f", (1,), "m/s^2", ""),))
@@ -50,7 +50,9 @@ def test_a_smooth_form_and_another_start_help() -> None:
 
 
 def test_what_is_not_finite_itself_is_named_before_what_has_no_derivative() -> None:
-    ode = lambda x, f, d, p: {"pos": x["vel"], "vel": (f["f"] - ca.sqrt(x["pos"] ** 2)) / p["mass"]}  # noqa: E731
+    def ode(x: Parts, f: Parts, d: Parts, p: Parts) -> Parts:
+        return {"pos": x["vel"], "vel": (f["f"] - ca.sqrt(x["pos"] ** 2)) / p["mass"]}
+
     cart = Plant("cart", STATES, FORCE, ode, parameters=Layout((Port("mass", (1,), "kg", "", 1.0),)))
     push = Controller("push", 0.01, STATES, FORCE, lambda x, u, p: 1 - u["pos"])
     with pytest.raises(InputError, match="because of 1/0 of the plant"):
