@@ -281,14 +281,19 @@ _LONG_NUMBER = re.compile(r"(?<![\w.])(?=\d*\.)((?:0?\.0*)?[1-9](?:\.?\d){16})\d
 def clipped(text: str, most: int = 400) -> str:
     """Return the text of an expression for a screen: its first characters, and its length if that is more than `most`.
 
-    Of the digits of a number, the first 17 significant ones stay, which identify a double, and `…` follows.
+    A long number has the fewest digits that identify it if it is a double; of others, the first 17 stay, with `…`.
 
     Example:
         >>> from surctl.verification.formula.parser import clipped
-        >>> clipped("x + y", 3), clipped("0.8000000000000000444089209850062616*x + y")
-        ('x + ... (5 characters)', '0.80000000000000004…*x + y')
+        >>> clipped("x + y", 3), clipped("0.50000000000000011102230246251565404236316680908203125*x")
+        ('x + ... (5 characters)', '0.5000000000000001*x')
     """
-    text = _LONG_NUMBER.sub(r"\1…", text)
+
+    def short(number: re.Match[str]) -> str:
+        double = float(number[0])
+        return repr(double) if Fraction(number[0]) == Fraction(double) else f"{number[1]}…"
+
+    text = _LONG_NUMBER.sub(short, text)
     return text if len(text) <= most else f"{text[:most]} ... ({len(text)} characters)"
 
 
