@@ -152,9 +152,10 @@ class Solution:
             first = f"the claim that {first} {fate}{f': {self.reason}' * bool(self.reason)}"
         elif self.vacuous:
             first = f"vacuous, because {self.vacuous}: {first}"
+        origin = f", from: {self.origin}" if self.origin else ""
         lines = [
             f"{self.verdict:<8} {name}: {first} ({self.seconds:.1f} s)",
-            f"  {letter} = {clipped(text_of(claim.function), LONGEST)}{f', from: {self.origin}' if self.origin else ''}",
+            f"  {letter} = {clipped(text_of(claim.function), LONGEST)}{origin}",
             *stated_lines(claim.dynamics, claim.kind, sampled=self.sampled, radii=getattr(claim, "radii", None)),
         ]
         if self.falsified is not None and self.verdict == "proved" and self.level is not None:

@@ -38,7 +38,7 @@ def plot_motion(dynamics: Dynamics, function: Node, *, level: float, falsified: 
         dynamics: the dynamics; parameters have the middle of their ranges. The sampled form, if any, is plotted.
         function: V, an expression of the states.
         level: level of the region.
-        falsified: least level at which V is known not to decrease; drawn as a dashed line.
+        falsified: least level at which the claim is known to fail, an upper limit; drawn as a dashed line.
 
     Example:
         >>> from surctl.lyapunov import Dynamics, State
@@ -66,7 +66,7 @@ def plot_motion(dynamics: Dynamics, function: Node, *, level: float, falsified: 
         Line2D([], [], color=MUTED, lw=0.8, label="solutions from the boundary"),
     ]
     if falsified is not None:
-        handles.insert(1, Line2D([], [], color=AVOIDING, lw=1.4, ls="--", label=f"V = {falsified:.4g}, falsified"))
+        handles.insert(1, Line2D([], [], color=AVOIDING, lw=1.4, ls="--", label=f"V = {falsified:.4g}, upper limit"))
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=8.5, frameon=False)
     return figure
 
