@@ -324,9 +324,6 @@ def _about_vehicle(vehicle: Vehicle, word: str) -> Plan:
         )
     missions, gains, derivation = scaled_missions(vehicle)
     law = default_law(vehicle)
-    why = "the missions are scaled to the vehicle, but sonars are not"
-    if "sonar" not in law_source(law).sensing:
-        why = f"law {law} takes obstacle positions: {SONARLESS}"
     plan = Plan(
         name,
         f"The missions are scaled to {vehicle.name}, because it does not fit the built-in scenarios.",
@@ -344,9 +341,16 @@ def _about_vehicle(vehicle: Vehicle, word: str) -> Plan:
         (),
         False,
         derivation,
-        why,
+        _unheard(law) or "the missions are scaled to the vehicle, but sonars are not",
     )
     return _with_mission(plan)
+
+
+def _unheard(law: str) -> str:
+    # why a study with this law simulates no sonars; empty if the law can use them
+    source = law_source(law)
+    why = "" if source.steering is None else f": {SONARLESS}"
+    return "" if "sonar" in source.sensing else f"law {law} takes obstacle positions{why}"
 
 
 def _needs_own(vehicle: Vehicle, legs: Sequence[Leg]) -> bool:
@@ -417,6 +421,7 @@ def _plan(
         (),
         named is not None,
         derivation,
+        _unheard(law),
     )
     plan = _with_mission(plan)
     try:
