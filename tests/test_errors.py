@@ -19,6 +19,7 @@ from surctl.errors import (
     ToolMissing,
     UnsupportedOperation,
     cannot_write,
+    mistakes_in,
     nearest,
 )
 
@@ -104,3 +105,21 @@ def test_the_message_is_one_line_whatever_the_file_holds(
 def test_nearest_names_the_close_name_else_lists_all() -> None:
     assert nearest("lokahead", ["k1", "lookahead"]) == "did you mean 'lookahead'?"
     assert nearest("zzz", ["k2", "k1"]) == "known: k1, k2"
+
+
+@pytest.mark.parametrize(
+    ("file", "key", "error", "text"),
+    [
+        ("a.toml", None, InputError("is wrong", key="x"), "a.toml: x: is wrong"),
+        ("a.toml", None, InputError("is wrong", file="b.toml", key="x"), "b.toml: x: is wrong"),
+        ("a.toml", "y", InputError("is wrong", file="b.toml", key="x"), "a.toml: y: is wrong"),
+        ("a.toml", "list.0.", InputError("is wrong", key="x", value=1), "a.toml: list.0.x = 1: is wrong"),
+        (None, "--plant mujoco:", InputError("is wrong"), "--plant mujoco: is wrong"),
+    ],
+)
+def test_mistakes_in_names_the_file_and_the_key_and_keeps_the_file_of_the_mistake(
+    file: str | None, key: str | None, error: InputError, text: str
+) -> None:
+    with pytest.raises(InputError) as caught, mistakes_in(file, key):
+        raise error
+    assert str(caught.value) == text
