@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, NotApplicable
 from surctl.system import Cost, Record, System, run_system
-from surctl.system.linear import unresponsive
+from surctl.system.linear import integration_error, unresponsive
 from surctl.system.loop import ENDED
 from surctl.system.values import checked_ranges, run_numbers
 from surctl.verification.linear import LEAST_DISK_MARGIN, margin_text, short_margins
@@ -315,6 +315,8 @@ def _sorted(lines: Collection[Line]) -> tuple[Line, ...]:
 SATURATED = 0.5
 """Share of time at a limit above which the linear figures do not describe a run."""
 
+_ROUGH, _DIVERGES = 0.1, 0.9  # error of an integration step, of a mode as a share
+
 _DISK = "all loops at once, at commands or measurements, at the worst corner of the ranges"
 _DELAY = "least delay margin of one loop alone"
 
@@ -396,9 +398,9 @@ class Comparison:
 
     @property
     def gained(self) -> list[str]:
-        """What got better, the largest share first."""
+        """What got better: costs first, each group with the largest share first."""
         pairs = [(old, new) for old, new in self.rows if old.worse(new)]
-        pairs.sort(key=lambda pair: -_loss(pair[1], pair[0]))
+        pairs.sort(key=lambda pair: (not pair[0].name.startswith("cost."), -_loss(pair[1], pair[0])))
         return [f"{old.name} {_text(old)} -> {_text(new)}" for old, new in pairs]
 
     @property
@@ -526,6 +528,11 @@ class ClosedLoop:
             meaning = cost.meaning or f"{cost.how} over the run"
             figures.append(Figure(f"cost.{name}", value, cost.unit, meaning, "low", cost.at_most))
             lines += cost_verdicts(name, cost, value, duration=record.duration, dt=self.system.dt)
+        error, rate = integration_error(self.system, self.values)
+        if error > _ROUGH:
+            text = f"the integration step is too long for a mode of the plant ({rate:.3g} 1/s): drop this mode, "
+            text += f"or give System(substeps={np.ceil(rate * self.system.dt):g}), at most 1000"
+            lines.append(Line(None if error < _DIVERGES else False, text, "run"))
         shares = unresponsive(record)
         if shares:
             worst = max(shares, key=lambda name: shares[name])
@@ -555,8 +562,9 @@ class ClosedLoop:
         start = run_numbers(self.system, self.values).start[0] if proved else []
         if proved and not np.isnan(value := solution.value([*start, *self.system.controller.initial_state()])):
             inside = value < level
-            text = f"the run starts at V = {value:.4g}, {'inside' if inside else 'outside'} the region"
-            text += f" (V < {level:.4g}): {'the proof covers it' if inside else 'simulated, not proved'}"
+            at = f"at V = {value:.4g}, {'inside' if inside else 'outside'} the region (V < {level:.4g})"
+            at = at if np.isfinite(value) else "outside the box of the proof"
+            text = f"the run starts {at}: {'the proof covers it' if inside else 'simulated, not proved'}"
             lines.append(Line(inside or None, text, "region", counts=False))
             figures.append(Figure("start_share", value / level, "1", "V at the start of the run over the level", None))
         return Part(tuple(figures), tuple(lines), solution)

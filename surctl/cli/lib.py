@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from surctl.export.supplement import PlantLists
     from surctl.files import changes, file_name, prepare_folder, quoted, write_file
     from surctl.ir import Layout, Real
+    from surctl.ir.c99 import identifier
     from surctl.ir.cache import find_compiler
     from surctl.lyapunov import Problem, Safety, Solution, is_problem, load_problem, sampled_dynamics, solve
     from surctl.lyapunov.equilibrium import require_common

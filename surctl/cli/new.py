@@ -52,8 +52,10 @@ def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> N
     name = name.removesuffix(suffix)
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
     identifier += "_" * keyword.iskeyword(identifier)
-    if kind in _IN_PYTHON and not identifier.isidentifier():
-        raise InputError(f"cannot name a {kind}", key="name", value=name, remedy="begin with a letter")
+    if kind in _IN_PYTHON:
+        if not identifier.isidentifier():
+            raise InputError(f"cannot name a {kind}", key="name", value=name, remedy="begin with a letter")
+        lib.identifier(identifier)  # the exported code has names that begin with it
     text = template.read_text(encoding="utf-8").replace("@NAME@", lib.quoted(name)).replace("@IDENTIFIER@", identifier)
     target = write_new(out or path_of(name, suffix), text, force=force)
     shown = shlex.quote(str(target))

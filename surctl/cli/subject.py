@@ -337,19 +337,17 @@ class RegionWords:
             lib.require_common(dynamics)
         except NotApplicable as reason:
             return reason
-        numbers: dict[str, float | None] = {}
-        for key in ("level", "rate"):
-            text = self.claim.get(key)
-            numbers[key] = None if text is None else _finite_number(text, f"{_CLAIM}{key}")
-            if text is not None and not (numbers[key] or 0.0) > 0:
-                raise InputError("is not positive", key=f"{_CLAIM}{key}", value=text, remedy="give a positive number")
+        texts = {key: self.claim[key] for key in ("level", "rate") if key in self.claim}
+        numbers = {key: _finite_number(text, f"{_CLAIM}{key}") for key, text in texts.items()}
+        for key in (key for key, value in numbers.items() if value <= 0):
+            raise InputError("is not positive", key=f"{_CLAIM}{key}", value=texts[key], remedy="give a positive number")
         function = None
         if "function" in self.claim:
             known = {name: lib.variable(name) for name in dynamics.names}
             function = lib.parse(self.claim["function"], known, key=f"{_CLAIM}function")
-        elif numbers["level"] is not None:
+        elif "level" in numbers:
             raise InputError("is given without a function", key=f"{_CLAIM}level", remedy="give lyapunov.function too")
-        return lib.Problem(dynamics, "lyapunov", function, numbers["level"], numbers["rate"])
+        return lib.Problem(dynamics, "lyapunov", function, numbers.get("level"), numbers.get("rate"))
 
 
 def region_words(

@@ -28,7 +28,7 @@ from surctl.cli.output import (
     stoppable,
     waiting,
 )
-from surctl.cli.subject import OwnSystem, assigned, is_system, listed_values, load_system, region_words, seconds_option
+from surctl.cli.subject import OwnSystem, is_system, listed_values, load_system, region_words, seconds_option
 from surctl.errors import InputError
 
 
@@ -299,7 +299,7 @@ def _bench(
     duration = own.seconds(seconds or own.system.duration or _PERIODS * own.system.dt)
 
     def problem(gains: Mapping[str, float]) -> object:
-        return None if region is None else region.problem(own.system, {**assigned(()), **fixed, **gains})
+        return None if region is None else region.problem(own.system, {**fixed, **gains})
 
     bench = lib.SystemBench(
         own.system, own.word, duration, own.gain_ranges(ranges), places, about_loop,
@@ -308,8 +308,7 @@ def _bench(
     start = {one.name: one.value for one in bench.sliders}
     loops = {point: bench.loop(start, point) for point in bench.points}
     lib.judge_loops(about_loop, loops)  # reports unknown signals here
-    if region is not None:
-        problem(start)
+    problem(start)
     return bench
 
 

@@ -20,7 +20,7 @@ from surctl.system.controller import Controller, SampledController
 from surctl.system.linear_loop import LinearLoop, LoopNames, held_plant
 from surctl.system.loop import System, once_per_system
 from surctl.system.parts import entry_labels, entry_units, undefined_operation
-from surctl.system.plant import Plant
+from surctl.system.plant import Plant, runge_kutta
 from surctl.system.record import Record
 from surctl.system.sampled import Instant
 from surctl.system.values import RunNumbers, run_numbers
@@ -101,6 +101,7 @@ _NEWTON = 50
 _EULER, _LONGEST = 1000, 1e6  # number of implicit steps, and their greatest length in control periods
 _NEAR = 1e-6  # from here on, Newton steps are taken
 _REST = 1e-9
+_ZERO = 1e-15  # Newton steps towards 0 may end at a number of this size; a certificate would state all its digits
 _SHOWN = 6  # largest number of states in a message
 _STEP = 1e-6  # relative change of a number to which a command responds
 
@@ -211,6 +212,9 @@ def _newton(functions: _Rest, point: Array) -> tuple[Array, bool]:
             break
         point = trial
     error, slope = functions.error(point)
+    zeroed = np.where(np.abs(point) <= _ZERO * max(1.0, float(np.max(np.abs(point)))), 0.0, point)
+    if (np.abs(functions.error(zeroed)[0]) <= np.abs(error)).all():
+        point = zeroed
     rates = np.linalg.norm(slope, axis=1)
     apart = np.abs(error) / np.where(rates > 0, np.minimum(rates, 1.0), 1.0)
     return point, bool(np.max(apart) <= _REST * max(1.0, float(np.max(np.abs(point)))))
@@ -482,6 +486,20 @@ def _place(labels: list[str], point: Array) -> str:
 def _state_labels(system: System) -> list[str]:
     memory = entry_labels(system.blocks.memory)
     return [*entry_labels(system.plant.state), *entry_labels(system.controller.state, "controller "), *memory]
+
+
+def integration_error(system: System, values: Mapping[str, ArrayLike]) -> tuple[float, float]:
+    """Return the largest error of an integration step for a mode of the plant at the start, and the fastest rate [1/s].
+
+    The error is the difference between the factors by which step and plant multiply the mode.
+    """
+    numbers, plant = run_numbers(system, values), system.plant
+    slopes = _plant_slopes(plant)(numbers.start[0], plant.inputs.pack(), numbers.disturbance[0], numbers.plant[0])
+    rates = np.linalg.eigvals(np.nan_to_num(slopes[0].full(), posinf=0.0, neginf=0.0))
+    z = rates * system.dt / max(system.substeps, system.blocks.instants)
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.abs(runge_kutta(lambda mode, _: z * mode, np.ones(z.size), 1.0) - np.exp(z))
+    return float(np.max(error, initial=0.0)), float(np.abs(rates).max(initial=0.0))
 
 
 def unresponsive(record: Record) -> dict[str, float]:

@@ -20,6 +20,7 @@ from surctl.verification.linear import (
     DiskMargin,
     OpenLoop,
     disk_margin,
+    margin_text,
     quick_disk_margin,
     screened_peaks,
     short_margins,
@@ -287,18 +288,19 @@ class LoopCorners:
     def lines(self) -> list[str]:
         """Return lines of text: the nominal loop, each loop alone, then the worst corner."""
         nominal = self.nominal
-        lines = [f"  nominal: {_text(nominal.stable, nominal, nominal.slowest_per_s)}"]
+        lines = [f"  nominal: {_text(nominal.stable, nominal)}"]
         if nominal.stable:
             lines += [f"  loop {margin.line()}" for margin in nominal.margins]
             lines += [f"  {disk.line()}" for disk in nominal.disks]
         if not self.count:
             return lines
-        word = "no equilibrium" if self.corner in self.lost else _text(self.stable, self.worst, self.slowest_per_s)
+        word = "no equilibrium" if self.corner in self.lost else _text(self.stable, self.worst)
         lines.append(f"  worst of {self.of}: {word}, at {self.corner}")
         if self.stable:
-            disks = ", ".join(f"{_number(disk.guaranteed)} ({disk.place})" for disk in self.disks)
+            disks = ", ".join(f"{margin_text(disk.guaranteed, 0.0)} ({disk.place})" for disk in self.disks)
             lines.append(f"  least disk margin of all loops at once: {disks}")
             lines.append(f"  least delay margin of one loop alone: {self.delay.delay_s:.4g} s ({self.delay.where})")
+            lines.append(f"  slowest pole of all corners: {self.slowest_per_s:.3g} 1/s")
         return lines
 
     def to_dict(self) -> dict[str, Any]:
@@ -312,13 +314,9 @@ class LoopCorners:
         return {"nominal": self.nominal.to_dict(), "worst": worst}
 
 
-def _text(stable: bool, loop: SampledLoop, slowest: float) -> str:
-    poles = f"slowest pole {slowest:.3g} 1/s, least damping {loop.least_damping:.2f}"
-    return f"{f'stable, disk margin {_number(loop.disk)}' if stable else loop.linear.stability}, {poles}"
-
-
-def _number(margin: float) -> str:
-    return "not determined" if np.isnan(margin) else f"{margin:.2f}"
+def _text(stable: bool, loop: SampledLoop) -> str:
+    poles = f"slowest pole {loop.slowest_per_s:.3g} 1/s, least damping {loop.least_damping:.2f}"
+    return f"{f'stable, disk margin {margin_text(loop.disk, 0.0)}' if stable else loop.linear.stability}, {poles}"
 
 
 def corners_of(

@@ -70,6 +70,9 @@ def test_what_got_worse_comes_first_and_names_its_sizes() -> None:
     assert told.gained == ["time_ratio 1.4 -> 1.2"]
     assert told.lines()[1] == "better than before: time_ratio 1.4 -> 1.2"
     assert told.to_dict()["worse"] == ["region_m", "disk_margin"]
+    cost = Figure("cost.error", 0.9, "rad", "what the tuning minimises", "low")
+    tuned = Comparison(assessed(time, cost), assessed(after[2], replace(cost, value=0.85)))
+    assert tuned.gained == ["cost.error 0.9 -> 0.85", "time_ratio 1.4 -> 1.2"], "a cost first, however little it gained"
     same = Comparison(assessed(disk), assessed(disk))
     assert same.headline == "no figure of the assessment is worse than before"
     gone = Comparison(assessed(disk, region), assessed(disk))

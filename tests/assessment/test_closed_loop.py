@@ -13,7 +13,7 @@ from surctl.errors import InputError
 from surctl.ir import Layout, Port
 from surctl.system import Controller, Cost, Plant, System, linearise, run_system
 from surctl.system.linear import unresponsive
-from surctl.verification import system_disk_margin, system_margins
+from surctl.verification import system_corners, system_disk_margin, system_margins
 from tests.system.examples import pendulum
 
 RANGES = {"plant.gravity": (6.0, 12.0), "plant.drag": (0.0, 0.5)}
@@ -143,6 +143,19 @@ def test_a_claimed_region_counts_by_its_verdict(verdict: str, vacuous: str, pass
     assert [f.value for name, f in result.figures.items() if name == "start_share"] == ([1.5] if passed else [])
     assert result.passed is passed and any(f"{verdict} it" in line.text for line in result.lines)
     assert result.figures["region_share"].value == (0.25 if passed else 0.0)
+    claim.value = lambda state: float("inf")  # V is not known there
+    away = assess(ClosedLoop(pendulum(), region=lambda: claim)).caveats
+    assert away == (["the run starts outside the box of the proof: simulated, not proved"] if passed else [])
+
+
+def test_what_is_said_at_the_worst_corner_is_computed_there() -> None:
+    swinging = replace(pendulum(), ranges=RANGES)
+    loop = system_corners(swinging)
+    at = linearise(swinging, {name: float(end) for name, end in (one.split(" = ") for one in loop.corner.split(", "))})
+    assert loop.slowest_per_s > at.slowest_per_s, "the slowest pole is that of another corner"
+    (worst,) = (line for line in loop.lines() if line.startswith("  worst of the 4 corners of the ranges: stable"))
+    assert f"slowest pole {at.slowest_per_s:.3g} 1/s, " in worst and worst.endswith(f"at {loop.corner}")
+    assert loop.lines()[-1] == f"  slowest pole of all corners: {loop.slowest_per_s:.3g} 1/s"
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,14 @@ def test_a_new_task_passes_its_check(tmp_path: Path) -> None:
         assert wrong.status == 2 and fragment in wrong.complaint
 
 
+@pytest.mark.parametrize(
+    ("name", "fragment"), [("double", "reserved word in C"), ("a__b", "C identifier"), ("a" * 70, "at most 63")]
+)
+def test_a_name_that_the_exported_code_cannot_have_is_refused_at_once(tmp_path: Path, name: str, fragment: str) -> None:
+    wrong = surctl_here("new", "system", name, cwd=tmp_path)
+    assert wrong.status == 2 and fragment in wrong.complaint and not [*tmp_path.iterdir()]
+
+
 def test_a_new_robot_reaches_its_target_and_becomes_c(tmp_path: Path) -> None:
     need_compiler()
     assert surctl("new", "robot", "my-arm", cwd=tmp_path).status == 0

@@ -119,6 +119,18 @@ def test_the_next_export_is_the_run_of_the_system_and_a_study_shows_its_region(
     assert max(map(len, summary)) <= 100
 
 
+def test_a_summary_of_a_sweep_says_at_which_point_a_line_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    need_compiler()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("SURCTL_VERBOSE", raising=False)
+    cost = '"slow": slow, "far": Cost(lambda s: s.x["speed"], "max", "m/s")'
+    Path("mine.py").write_text(FILE.replace('"slow": slow', cost))
+    shown = CliRunner().invoke(app, ["sweep", "mine.py:slow", "k=0.5,1", "--seconds", "2"]).stdout.splitlines()
+    assert [line.partition(": slow = ")[0] for line in shown if line.startswith("FAIL")] == [
+        "FAIL for the least slow", "FAIL for the least far",
+    ]  # fmt: skip
+
+
 def test_a_cost_that_fails_is_shown_once_and_advice_of_the_parser_ends_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import control
 import numpy as np
@@ -9,9 +11,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from surctl.assessment import ClosedLoop, assess
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
-from surctl.system import Controller, Plant, System, find_equilibrium, linearise, linearise_plant, run_system
+from surctl.system import (
+    Controller,
+    Plant,
+    System,
+    find_equilibrium,
+    from_control,
+    linearise,
+    linearise_plant,
+    run_system,
+)  # fmt: skip
 from surctl.system.linear_loop import LinearLoop, LoopNames
 from tests.system.examples import level, pendulum, pendulum_plant
 
@@ -72,6 +84,42 @@ def test_slow_and_small_states_rest_at_their_equilibrium(exponent: int, size: fl
     )  # fmt: skip
     law = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["v"])
     assert find_equilibrium(System(plant, law)).x == pytest.approx([0.0, goal])
+
+
+def test_a_state_that_rests_at_zero_is_zero_and_not_the_rest_of_a_search() -> None:
+    turn, speed, torque = (
+        Port("turn", (1,), "rad", ""),
+        Port("speed", (1,), "rad/s", ""),
+        Port("torque", (1,), "1/s^2", ""),
+    )
+    arm = Plant(
+        "arm", Layout((turn, speed)), Layout((torque,)),
+        lambda x, f, d, p: {"turn": x["speed"] + 0.1 * x["speed"] ** 3, "speed": ca.sin(x["turn"]) + f["torque"]},
+    )  # fmt: skip
+    law = Controller(
+        "pd", 0.01, Layout((turn, speed)), Layout((torque,)),
+        lambda x, u, p: 40 * (0.3 - u["turn"]) - 8 * u["speed"] + 5 * ca.cos(u["turn"]),
+    )  # fmt: skip
+    point = find_equilibrium(System(arm, law)).x
+    assert point[0] == pytest.approx(0.42421053) and point[1] == 0.0
+
+
+@pytest.mark.parametrize(("pole", "long"), [(0.6, False), (25.0, False), (100.0, True), (112.0, True)])
+def test_a_mode_too_fast_for_the_integration_step_is_named(pole: float, long: bool) -> None:
+    lag = control.tf([pole], [1.0, pole], name="lag", inputs="u", outputs="y")
+    system = from_control(lag, control.tf([0.5], [1.0, 0.0], name="slow"), dt=0.1)
+    done = assess(ClosedLoop(system, {"reference.ref_y": 1.0}, seconds=8.0), parts=["run"])
+    named = [line for line in done.lines if "integration step is too long" in line.text]
+    assert bool(named) is long and (not long or f"({pole:g} 1/s)" in named[0].text)
+    exact, y, integral = np.exp(-pole * 0.1), 0.0, 0.0
+    for _ in range(79):
+        error = 1.0 - y
+        y, integral = exact * y + (1 - exact) * (integral + 0.025 * error), integral + 0.05 * error
+    end = float(run_system(system, 8.0, {"reference.ref_y": 1.0})["y"][-1, 0])
+    assert (abs(end - y) < 1e-4) is not long
+    assert (done.passed is False) is (abs(end) > 2.0)  # a run that only the integration makes diverge
+    enough = replace(system, substeps=int(np.ceil(pole * 0.1)))
+    assert run_system(enough, 8.0, {"reference.ref_y": 1.0})["y"][-1, 0] == pytest.approx(y, abs=2e-3)
 
 
 def test_a_plant_alone_is_linearised_about_a_point() -> None:

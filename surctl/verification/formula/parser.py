@@ -364,7 +364,8 @@ _COMPOSED: Mapping[str, Callable[..., Node]] = MappingProxyType(
      "expm1": lambda x: Node("exp", (x,)) - number(1)}
 )  # fmt: skip
 _SUBSTITUTES: Mapping[str, str] = MappingProxyType(
-    {"hypot": "write sqrt(x*x + y*y)", "sign": "write if_else(x < 0, -1, 1)", "copysign": "use if_else and fabs",
+    {"hypot": "write sqrt(x*x + y*y)", "sign": "write tanh(x/width), or a saturation min(max(x/width, -1), 1)",
+     "copysign": "use if_else and fabs",
      "asinh": "write log(x + sqrt(x*x + 1))", "acosh": "write log(x + sqrt(x*x - 1))",
      "atanh": "write log((1 + x)/(1 - x))/2", "eq": "compare by <=, or feed a difference back",
      "ne": "compare by <="}
