@@ -103,6 +103,15 @@ def mistakes_in(file: object, key: str | None = None) -> Iterator[None]:
         raise error.inside(file, key) from None
 
 
+@contextmanager
+def writing(place: object, **options: Any) -> Iterator[None]:
+    """Raise the error of `cannot_write` for an OSError of the block; `options` are arguments of that function."""
+    try:
+        yield
+    except OSError as error:
+        raise cannot_write(place, error, **options) from None
+
+
 class NotApplicable(InputError):
     """The given case violates an assumption of a claim, so the claim is neither proved nor refuted.
 

@@ -21,6 +21,7 @@ from surctl.errors import (
     cannot_write,
     mistakes_in,
     nearest,
+    writing,
 )
 
 
@@ -44,6 +45,14 @@ def test_only_a_place_that_takes_no_more_output_is_no_mistake_of_the_user() -> N
         lost = cannot_write("out", OSError(code, os.strerror(code)))
         assert lost.exit_status == (LOST if code in LOSSES else 2)
         assert os.strerror(code) in str(lost) and str(lost).startswith("out: ")
+
+
+def test_a_place_that_cannot_be_written_is_named() -> None:
+    with pytest.raises(InputError) as caught, writing("out", remedy="name another folder"):
+        raise OSError(errno.EACCES, os.strerror(errno.EACCES))
+    assert str(caught.value) == f"out: cannot be written ({os.strerror(errno.EACCES)}); name another folder"
+    with pytest.raises(ValueError, match="other"), writing("out"):
+        raise ValueError("other")
 
 
 def test_public_names() -> None:
