@@ -88,11 +88,28 @@ class InputError(SurctlError):
 
 @contextmanager
 def mistakes_in(file: object, key: str | None = None) -> Iterator[None]:
-    """Name the file (and key) that contains the mistake in an InputError of the block, see `InputError.inside`."""
+    """Name the file (and key) that contains the mistake in an InputError of the block, see `InputError.inside`.
+
+    A key that ends with a dot or colon is put before that of the error. Without a key, an error that names a file is
+    raised unchanged.
+    """
     try:
         yield
     except InputError as error:
+        if error.file and key is None:
+            raise
+        if key is not None and key.endswith((".", ":")):
+            key = f"{key}{error.key or ''}".rstrip(".:")
         raise error.inside(file, key) from None
+
+
+@contextmanager
+def writing(place: object, **options: Any) -> Iterator[None]:
+    """Raise the error of `cannot_write` for an OSError of the block; `options` are arguments of that function."""
+    try:
+        yield
+    except OSError as error:
+        raise cannot_write(place, error, **options) from None
 
 
 class NotApplicable(InputError):

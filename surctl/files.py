@@ -28,7 +28,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from surctl.errors import InputError, cannot_write, nearest
+from surctl.errors import InputError, cannot_write, nearest, writing
 from surctl.units import converted_by_suffix, in_unit, number_and_unit
 
 if TYPE_CHECKING:
@@ -404,13 +404,11 @@ def prepare_folder(folder: Path, *, key: str = "--out", value: Path | None = Non
         str(folder).encode()
     except UnicodeError:  # netCDF cannot write into it
         raise InputError("is not text (UTF-8)", key=key, value=str(folder), remedy="name another folder") from None
-    try:
+    with writing(str(value or folder), key=key, remedy="name another folder"):
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / f".surctl-{os.getpid()}"
         probe.write_bytes(b"")
         probe.unlink()
-    except OSError as error:
-        raise cannot_write(str(value or folder), error, key=key, remedy="name another folder") from None
     return folder
 
 

@@ -15,7 +15,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, cannot_write
+from surctl.errors import InputError, writing
 from surctl.files import write_file
 
 __all__ = ["RESUME", "ChunkStore"]
@@ -52,11 +52,9 @@ class ChunkStore:
         Raises:
             InputError: the folder cannot be written, or another process has locked it.
         """
-        try:
+        with writing(self.folder, **RESUME):
             self.folder.mkdir(parents=True, exist_ok=True)
             lock = (self.folder / "lock").open("w")
-        except OSError as error:
-            raise cannot_write(self.folder, error, **RESUME) from None
         with lock:
             _hold(lock, self.folder)
             for left in self.folder.glob("*.tmp"):

@@ -19,7 +19,9 @@ from surctl.errors import (
     ToolMissing,
     UnsupportedOperation,
     cannot_write,
+    mistakes_in,
     nearest,
+    writing,
 )
 
 
@@ -43,6 +45,14 @@ def test_only_a_place_that_takes_no_more_output_is_no_mistake_of_the_user() -> N
         lost = cannot_write("out", OSError(code, os.strerror(code)))
         assert lost.exit_status == (LOST if code in LOSSES else 2)
         assert os.strerror(code) in str(lost) and str(lost).startswith("out: ")
+
+
+def test_a_place_that_cannot_be_written_is_named() -> None:
+    with pytest.raises(InputError) as caught, writing("out", remedy="name another folder"):
+        raise OSError(errno.EACCES, os.strerror(errno.EACCES))
+    assert str(caught.value) == f"out: cannot be written ({os.strerror(errno.EACCES)}); name another folder"
+    with pytest.raises(ValueError, match="other"), writing("out"):
+        raise ValueError("other")
 
 
 def test_public_names() -> None:
@@ -104,3 +114,21 @@ def test_the_message_is_one_line_whatever_the_file_holds(
 def test_nearest_names_the_close_name_else_lists_all() -> None:
     assert nearest("lokahead", ["k1", "lookahead"]) == "did you mean 'lookahead'?"
     assert nearest("zzz", ["k2", "k1"]) == "known: k1, k2"
+
+
+@pytest.mark.parametrize(
+    ("file", "key", "error", "text"),
+    [
+        ("a.toml", None, InputError("is wrong", key="x"), "a.toml: x: is wrong"),
+        ("a.toml", None, InputError("is wrong", file="b.toml", key="x"), "b.toml: x: is wrong"),
+        ("a.toml", "y", InputError("is wrong", file="b.toml", key="x"), "a.toml: y: is wrong"),
+        ("a.toml", "list.0.", InputError("is wrong", key="x", value=1), "a.toml: list.0.x = 1: is wrong"),
+        (None, "--plant mujoco:", InputError("is wrong"), "--plant mujoco: is wrong"),
+    ],
+)
+def test_mistakes_in_names_the_file_and_the_key_and_keeps_the_file_of_the_mistake(
+    file: str | None, key: str | None, error: InputError, text: str
+) -> None:
+    with pytest.raises(InputError) as caught, mistakes_in(file, key):
+        raise error
+    assert str(caught.value) == text

@@ -283,6 +283,9 @@ ASKED = {
     "neural network": "questions/", "feedforward": "questions/", "notch filter": "questions/", "bandwidth": "tune",
     "thermostat": "questions/", "FOC motor": "questions/", "satellite": "questions/", "lambda tuning": "questions/",
     "PREEMPT_RT": "questions/", "report a bug": "project", "not on PyPI": "questions/", "SMT solver": "certificates",
+    "How do I run on SLURM?": "questions/", "Who gives support?": "questions/", "How do I cite surctl?": "project",
+    "import GPX": "questions/", "Sobol indices": "questions/", "trusted computing base": "certificates",
+    "Can I use surctl with PX4?": "questions/", "How do I call the controller from C++?": "questions/",
 }  # fmt: skip
 
 

@@ -231,7 +231,8 @@ def on_post_build(config: Any) -> None:
     """Mend the search (lunr).
 
     The names of its nodes join digits, so that it confuses nodes and then fails. And of a question such as "what is a
-    disk margin", it takes "a" for the start of every word with a.
+    disk margin?", it takes "a" for the start of every word with a, and looks for a word that ends with "?". The words
+    "surctl" and "use" are in most headings, so they say nothing about a question.
     """
     for worker in Path(config.site_dir).glob("assets/javascripts/workers/search.*.js"):
         text = _NODE.sub(r"\1+','}\3", worker.read_text(encoding="utf-8"))
@@ -243,6 +244,7 @@ def on_post_build(config: Any) -> None:
 _NODE = re.compile(r"((\w)=\2\+\w\+\w\.id)\}(return \2\b)")
 _ASKED = re.compile(r"(?<=search\(e\)\{)(?=if\(e=e\.replace)")
 _WITHOUT_STOP_WORDS = (
-    r"let kept=e.split(/\s+/).filter(w=>lunr.stopWordFilter(w.replace(/\W/g,'').toLowerCase()));"
+    r"let kept=e.split(/\s+/).map(w=>w.replace(/[?!.:]+$/,''))"
+    r".filter(w=>w&&!/^(surctl|use|using)$/i.test(w)&&lunr.stopWordFilter(w.replace(/\W/g,'').toLowerCase()));"
     "if(kept.length)e=kept.join(' ');"
 )

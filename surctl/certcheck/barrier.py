@@ -21,8 +21,8 @@ from typing import Any
 
 from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.expressions import ExpressionTable
-from surctl.certcheck.inequality import listed, number
-from surctl.certcheck.motion import Motion, Obligation, check_all, decimal_text, read_motion
+from surctl.certcheck.inequality import Obligation, check_all, listed, number
+from surctl.certcheck.motion import Motion, decimal_text, read_motion
 
 __all__ = ["check"]
 

@@ -44,8 +44,7 @@ from surctl.certcheck.enclosure import enclose
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.fields import Pair, row
 from surctl.certcheck.identity import Exact
-from surctl.certcheck.inequality import listed
-from surctl.certcheck.motion import Obligation, check_all
+from surctl.certcheck.inequality import Obligation, check_all, listed
 
 __all__ = [
     "Distance", "bound_distance", "check", "disturbance", "drag_ranges", "left_at", "read_distance", "thrust_ahead",

@@ -21,6 +21,7 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,8 @@ from surctl.certcheck.document import LARGEST, canonical, parse, read_bytes
 from surctl.certcheck.instructions import digest
 from surctl.errors import InputError
 
-__all__ = ["Listed", "Manifest", "Port", "manifest_seal", "numbers_sha256", "ports_sha256", "read_bundle",
-           "read_manifest", "stated_sha256"]  # fmt: skip
+__all__ = ["Listed", "Manifest", "Port", "manifest_seal", "numbers_sha256", "places", "ports_sha256",
+           "read_bundle", "read_manifest", "stated_sha256"]  # fmt: skip
 
 MANIFEST, LAW = "manifest.json", "law.txt"
 FORMAT_VERSION = 2  # of the manifest and of what it lists
@@ -52,6 +53,12 @@ class Port:
     name: str
     size: int
     unit: str
+
+
+def places(ports: Sequence[Port]) -> dict[str, slice]:
+    """Return the place of each part of a vector by its name."""
+    ends = [0, *accumulate(port.size for port in ports)]
+    return {port.name: slice(*pair) for port, pair in zip(ports, pairwise(ends), strict=True)}
 
 
 @dataclass(frozen=True)

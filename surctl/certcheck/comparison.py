@@ -122,17 +122,13 @@ class Comparison:
 
     def gain(self, name: str, certified: float, at: int = 0) -> None:
         """Compare an entry of a gain."""
-        have = self.gains(name)
-        if len(have) <= at:
-            self.unknown(f"{name}[{at}]")
-        elif have[at] != certified:
-            self.differs.append(f"{name}[{at}]: {certified!r} certified, {have[at]!r} exported")
+        self.equal(f"{name}[{at}]", certified, self.gains(name)[at : at + 1])
 
     def believed(self, law: Part) -> None:
         """Compare the law's model (mass and drag in surge and sway) with the certified values."""
-        for port, key in (("mass", "mass_kg"), ("linear_drag", "linear_drag"), ("quadratic_drag", "quadratic_drag")):
-            for axis in (0, 1):
-                self.gain(port, law[key][axis] if isinstance(law[key], list) else law[key], axis)
+        for _, key, _ in ALIKE:
+            for axis, model in enumerate(law[key]):
+                self.gain(key.removesuffix("_kg"), model, axis)
 
     def at_least(self, what: str, certified: float, unit: str, have: Sequence[float]) -> None:
         """Report a number of the bundle below the certified one."""

@@ -12,66 +12,81 @@ __all__ = ["along", "branched", "branches_of", "composed"]
 
 
 def along(table: ExpressionTable, root: int, rates: Sequence[int]) -> int:
-    """Return Σ ∂root/∂x_k · rates[k] over the first variables of the table; raise Rejected if root is not smooth."""
-    # forward differentiation: the derivative of every operation along the vector field
-    put = table.put
-    zero, one, two = put("num"), put("num", value=1), put("num", value=2)
-    slope: dict[int, int] = {}
+    """Return Σ ∂root/∂x_k · rates[k] over the first variables of the table; raise Rejected if root is not smooth.
+
+    Factors 1 and terms 0 are left out, so that the derivative with respect to one variable is short too.
+    """
+    put, zero, one, slope = table.put, table.put("num"), table.put("num", value=1), dict[int, int]()
+
+    def negative(a: int) -> int:
+        entry = table.entries[a]
+        if entry.op == "num":
+            return put("num", value=-entry.value)
+        return entry.args[0] if entry.op == "neg" else put("neg", a)
+
+    def plus(a: int, b: int) -> int:
+        if zero in (a, b):
+            return b if a == zero else a
+        entry = table.entries[b]
+        return put("sub", a, entry.args[0]) if entry.op == "neg" else put("add", a, b)
 
     def times(a: int, b: int) -> int:
         return zero if zero in (a, b) else b if a == one else a if b == one else put("mul", a, b)
 
+    # forward differentiation: the derivative of every operation along the vector field
     for at in table.needed([root]):
         go_on()
-        entry, args = table.entries[at], table.entries[at].args
-        op, moves = entry.op, [slope[a] for a in args]
+        op, args, value = table.entries[at]
+        moves = [slope[a] for a in args]
         if op == "var":
-            index = entry.value.numerator
-            slope[at] = rates[index] if index < len(rates) else zero
+            slope[at] = rates[value.numerator] if value.numerator < len(rates) else zero
         elif op in BRANCHES or op == "atan2":
             raise Rejected(f"the function contains {op}, which has kinks or jumps")
         elif all(m == zero for m in moves):
             slope[at] = zero
         elif op in ("add", "sub"):
-            slope[at] = put(op, *moves)
+            slope[at] = plus(moves[0], moves[1] if op == "add" else negative(moves[1]))
         elif op == "neg":
-            slope[at] = put("neg", moves[0])
+            slope[at] = negative(moves[0])
         elif op == "mul":
-            slope[at] = put("add", times(moves[0], args[1]), times(args[0], moves[1]))
+            slope[at] = plus(times(moves[0], args[1]), times(args[0], moves[1]))
+        elif op == "div" and moves[1] == zero:
+            slope[at] = put("div", moves[0], args[1])
         elif op == "div":
-            over = put("sub", times(moves[0], args[1]), times(args[0], moves[1]))
+            over = plus(times(moves[0], args[1]), negative(times(args[0], moves[1])))
             slope[at] = put("div", over, put("pow", args[1], value=2))
-        elif op == "pow":
-            base = put("pow", args[0], value=entry.value - 1) if entry.value != 1 else one
-            slope[at] = times(times(put("num", value=entry.value), base), moves[0])
-        elif op == "powr":
-            base = put("powr", args[0], value=entry.value - 1)
-            slope[at] = times(times(put("num", value=entry.value), base), moves[0])
-        elif op == "exp":
-            slope[at] = times(at, moves[0])
-        elif op == "log":
-            slope[at] = put("div", moves[0], args[0])
-        elif op in ("sinh", "cosh"):
-            slope[at] = times(put("cosh" if op == "sinh" else "sinh", args[0]), moves[0])
-        elif op in ("tan", "tanh"):
-            inner = put("add" if op == "tan" else "sub", one, put("pow", at, value=2))
-            slope[at] = times(inner, moves[0])
-        elif op == "sqrt":
-            slope[at] = put("div", moves[0], put("mul", two, at))
-        elif op == "sin":
-            slope[at] = times(put("cos", args[0]), moves[0])
-        elif op == "cos":
-            slope[at] = put("neg", times(put("sin", args[0]), moves[0]))
-        elif op == "atan":
-            slope[at] = put("div", moves[0], put("add", one, put("pow", args[0], value=2)))
-        elif op in ("acos", "asin"):
-            rest = put("sub", one, put("pow", args[0], value=2))
-            slope[at] = put("div", moves[0], put("sqrt", rest))
-            if op == "acos":
-                slope[at] = put("neg", slope[at])
+        elif op in ("pow", "powr"):
+            left = one if value == 1 else args[0] if value == 2 else put(op, args[0], value=value - 1)
+            slope[at] = times(times(put("num", value=value), left), moves[0])
         else:
-            raise Rejected(f"the checker has no derivative of {op}")
+            slope[at] = times(_outer(table, op, args[0], at), moves[0])
     return slope[root]
+
+
+def _outer(table: ExpressionTable, op: str, inside: int, whole: int) -> int:
+    """Return the derivative of a function of one argument, from the positions of argument and value."""
+    put, one, two = table.put, table.put("num", value=1), table.put("num", value=2)
+    match op:
+        case "exp":
+            return whole
+        case "log":
+            return put("div", one, inside)
+        case "sinh" | "cosh":
+            return put("cosh" if op == "sinh" else "sinh", inside)
+        case "tan" | "tanh":
+            return put("add" if op == "tan" else "sub", one, put("pow", whole, value=2))
+        case "sqrt":
+            return put("div", one, put("mul", two, whole))
+        case "sin":
+            return put("cos", inside)
+        case "cos":
+            return put("neg", put("sin", inside))
+        case "atan":
+            return put("div", one, put("add", one, put("pow", inside, value=2)))
+        case "acos" | "asin":
+            rest = put("div", one, put("sqrt", put("sub", one, put("pow", inside, value=2))))
+            return put("neg", rest) if op == "acos" else rest
+    raise Rejected(f"the checker has no derivative of {op}")
 
 
 def composed(table: ExpressionTable, root: int, successors: Mapping[int, int]) -> int:

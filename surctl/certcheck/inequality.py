@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -36,14 +37,58 @@ from surctl.certcheck.patience import go_on
 from surctl.certcheck.rules import DIMENSIONS, Rules
 from surctl.certcheck.squares import Claimed, check_squares
 
-__all__ = ["DIMENSIONS", "Box", "Inequality", "halves", "listed", "number"]
+__all__ = ["DIMENSIONS", "Box", "Inequality", "Obligation", "check_all", "halves", "listed", "number"]
 
 _CASE = {"choice", "numerator", "denominators", "multipliers"}
 _MOST_BRANCHES = 12
+_SHARED = 500  # most operations of earlier inequalities in the table of the next one
 _DEEPEST = 10_000  # largest number of boxes that wait to be checked
 _TOGETHER, _MOST = 512, 500_000  # boxes that are checked together, and most intervals in the arrays of an expression
 
 Box = list[tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Obligation:
+    """An inequality that a certificate has to prove: left ≤ right + slack on a box where all constraints are ≤ 0."""
+
+    names: Sequence[str]
+    box: Box
+    left: str
+    right: str
+    constraints: Sequence[str] = ()
+    slack: float = 0.0
+
+    def check(self, cases: object, normal: Exact | None = None) -> Exact:
+        """Raise Rejected unless the cases prove the inequality; return the normal forms of its expressions.
+
+        `normal` holds normal forms of earlier inequalities about the same variables.
+        """
+        table = ExpressionTable(self.names) if normal is None else normal.expressions
+        normal = normal or Exact(table)
+        try:
+            parts = [table.read(text) for text in (self.left, self.right, *self.constraints)]
+            Inequality(table, parts, self.box, self.slack, normal).check(listed(cases))
+        except Undefined as reason:
+            raise Rejected(f"an expression is not defined where it must be: {reason}") from None
+        return normal
+
+
+def check_all(obligations: Sequence[Obligation], proofs: object, known: Exact) -> None:
+    """Raise Rejected unless there is one proof for each obligation; `known` holds normal forms of expressions."""
+    proved = listed(proofs)
+    if len(proved) != len(obligations):
+        raise Rejected(f"the certificate has {len(proved)} proofs, but {len(obligations)} inequalities must be proved")
+    earlier = {known.expressions.names: known}
+    for k, (obligation, cases) in enumerate(zip(obligations, proved, strict=True)):
+        names = tuple(obligation.names)
+        normal = earlier.get(names)
+        if normal is not None and not (normal.reusable and len(normal.expressions.entries) <= _SHARED):
+            normal = None  # limits on sizes count for each inequality
+        try:
+            earlier[names] = obligation.check(cases, normal)
+        except Rejected as reason:
+            raise Rejected(f"inequality {k + 1} of {len(obligations)}: {reason}") from None
 
 
 class Inequality:

@@ -14,9 +14,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from surctl.certcheck.document import Rejected, record
-from surctl.certcheck.enclosure import Undefined
-from surctl.certcheck.expressions import RESERVED, ExpressionTable
-from surctl.certcheck.inequality import DIMENSIONS, Box, Inequality, listed, number
+from surctl.certcheck.expressions import RESERVED
+from surctl.certcheck.inequality import DIMENSIONS, Box, Obligation, listed, number
 
 __all__ = ["check", "printable", "variables_of"]
 
@@ -33,12 +32,8 @@ def check(document: Mapping[str, Any]) -> None:
     slack = number(claim["slack"])
     if slack < 0:
         raise Rejected("the slack is negative")
-    expressions = ExpressionTable(names)
-    texts = [claim["left"], claim["right"], *listed(claim["constraints"])]
-    try:
-        Inequality(expressions, [expressions.read(t) for t in texts], box, slack).check(listed(document["cases"]))
-    except Undefined as reason:
-        raise Rejected(f"an expression is not defined where it must be: {reason}") from None
+    stated = Obligation(names, box, claim["left"], claim["right"], listed(claim["constraints"]), slack)
+    stated.check(document["cases"])
 
 
 def variables_of(variables: object) -> tuple[list[str], Box]:

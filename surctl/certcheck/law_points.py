@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from surctl.certcheck.braking import bound_distance
 from surctl.certcheck.braking_claim import BrakingClaim
-from surctl.certcheck.bundle import Listed, Manifest, Port
+from surctl.certcheck.bundle import Listed, Manifest, places
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.elementary import Undefined
 from surctl.certcheck.enclosure import enclose, middle, rational
@@ -80,7 +80,7 @@ class Law:
 
     def __init__(self, listed: Listed, manifest: Manifest) -> None:
         self._block = read_list(listed.text)
-        self._vectors = {name: _places(ports) for name, ports in listed.vectors.items()}
+        self._places = {name: places(ports) for name, ports in listed.vectors.items()}
         self._start = np.array(listed.numbers["initial_state"])
         self.period, self.same = manifest.period, Same(_SLACK)
         self.gains = {name: np.array(values) for name, values in manifest.gains.items()}
@@ -88,7 +88,7 @@ class Law:
         results = [sum(port.size for port in listed.vectors[name]) for name in ("commands", "telemetry")]
         if self._block.inputs != tuple(sizes) or self._block.outputs != (results[0], sizes[0], 1, results[1]):
             raise Rejected("the vectors of the law do not have the stated sizes")
-        if len(self._start) != sizes[0] or {n for n, _, _ in self._vectors["gains"]} != self.gains.keys():
+        if len(self._start) != sizes[0] or self._places["gains"].keys() != self.gains.keys():
             raise Rejected("the law's list has other gains or another initial state than the bundle")
         for ports in listed.vectors.values():
             for port in ports:
@@ -108,15 +108,14 @@ class Law:
         count = x.shape[1]
         p = self._filled("gains", np.zeros((self._block.inputs[2], count)), {**self.gains, **gains})
         tau, after, _, telemetry = evaluate(self._block, x, u, p)
-        outputs = {name: tau[a:b] for name, a, b in self._vectors["commands"]}
-        return outputs | {name: telemetry[a:b] for name, a, b in self._vectors["telemetry"]}, after
+        outputs = {name: tau[place] for name, place in self._places["commands"].items()}
+        return outputs | {name: telemetry[place] for name, place in self._places["telemetry"].items()}, after
 
     def part(self, vector: str, values: Array, name: str) -> Array:
         """Return a part (size, count) of a vector (n, count) by its name."""
-        for own, first, last in self._vectors[vector]:
-            if own == name:
-                return values[first:last]
-        raise Rejected(f"the law has no {name} among its {vector}")
+        if name not in self._places[vector]:
+            raise Rejected(f"the law has no {name} among its {vector}")
+        return values[self._places[vector][name]]
 
     def _filled(self, vector: str, table: Array, values: Mapping[str, Any]) -> Array:
         for name, value in values.items():
@@ -124,14 +123,6 @@ class Law:
             # one number for each entry, or for each point of a part with one entry
             target[:] = own[:, None] if own.ndim == 1 and len(own) == len(target) else own
         return table
-
-
-def _places(ports: Sequence[Port]) -> list[tuple[str, int, int]]:
-    places, at = [], 0
-    for port in ports:
-        places.append((port.name, at, at + port.size))
-        at += port.size
-    return places
 
 
 @dataclass(frozen=True)

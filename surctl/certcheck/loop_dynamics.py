@@ -19,7 +19,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck.bundle import Listed, Port
+from surctl.certcheck.bundle import Listed, Port, places
 from surctl.certcheck.derivation import Derivation
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.elementary import Undefined
@@ -169,14 +169,9 @@ def _largest(table: ExpressionTable, root: int, box: Box) -> float:
 
 
 def _named(ports: Sequence[Port], values: Places) -> dict[str, Places]:
-    named: dict[str, Places] = {}
-    at = 0
-    for port in ports:
-        named[port.name] = values[at : at + port.size]
-        at += port.size
-    if at != len(values):
+    if sum(port.size for port in ports) != len(values):
         raise Rejected("a vector does not have the stated size")
-    return named
+    return {name: values[place] for name, place in places(ports).items()}
 
 
 def _joined(ports: Sequence[Port], values: Mapping[str, Any]) -> Places:

@@ -36,8 +36,8 @@ from typing import Any
 
 from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.expressions import ExpressionTable
-from surctl.certcheck.inequality import listed, number
-from surctl.certcheck.motion import Motion, Obligation, check_all, decimal_text, read_motion, rest_of
+from surctl.certcheck.inequality import Obligation, check_all, listed, number
+from surctl.certcheck.motion import Motion, decimal_text, read_motion, rest_of
 from surctl.certcheck.radii import narrowed, read_constant, read_radii, widened
 from surctl.certcheck.region_exact import inverse
 from surctl.certcheck.sampled import check as check_sampled

@@ -20,12 +20,12 @@ from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.enclosure import Undefined, above, decimal, enclose, rational, span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
-from surctl.certcheck.inequality import Box, Inequality, halves, listed, number
+from surctl.certcheck.inequality import Box, Obligation, halves, listed, number
 from surctl.certcheck.interval import printable, variables_of
 from surctl.certcheck.patience import go_on
 
 __all__ = [
-    "Motion", "Obligation", "check_all", "decimal_text", "read_motion", "require_defined", "require_loop", "rest_of",
+    "Motion", "decimal_text", "read_motion", "require_defined", "require_loop", "rest_of",
 ]  # fmt: skip
 
 _MOST_DECIMALS = 400  # characters
@@ -33,33 +33,7 @@ _LOOP = {
     "plant", "controller", "period_s", "plant_state", "controller_state", "gains", "parameters", "reference",
     "disturbance",
 }  # fmt: skip
-_SHARED = 500  # most operations of earlier inequalities in the table of the next one
 _MOST_HALVED = 2000  # most boxes that are halved to see that the dynamics are defined
-
-
-@dataclass(frozen=True)
-class Obligation:
-    """An inequality that a certificate has to prove: left ≤ right on a box where all constraints are ≤ 0."""
-
-    names: Sequence[str]
-    box: Box
-    left: str
-    right: str
-    constraints: Sequence[str] = ()
-
-    def check(self, cases: object, normal: Exact | None = None) -> Exact:
-        """Raise Rejected unless the cases prove the inequality; return the normal forms of its expressions.
-
-        `normal` holds normal forms of earlier inequalities about the same variables.
-        """
-        table = ExpressionTable(self.names) if normal is None else normal.expressions
-        normal = normal or Exact(table)
-        parts = [table.read(text) for text in (self.left, self.right, *self.constraints)]
-        try:
-            Inequality(table, parts, self.box, normal=normal).check(listed(cases))
-        except Undefined as reason:
-            raise Rejected(f"an expression is not defined where it must be: {reason}") from None
-        return normal
 
 
 @dataclass(frozen=True)
@@ -202,23 +176,6 @@ def require_loop(about: object) -> None:
     for entry in (e for vector in (*vectors, *loop["gains"].values()) for e in listed(vector)):
         if not isinstance(entry, str):
             number(entry)
-
-
-def check_all(obligations: Sequence[Obligation], proofs: object, known: Exact) -> None:
-    """Raise Rejected unless there is one proof for each obligation; `known` holds normal forms of expressions."""
-    proved = listed(proofs)
-    if len(proved) != len(obligations):
-        raise Rejected(f"the certificate has {len(proved)} proofs, but {len(obligations)} inequalities must be proved")
-    earlier = {known.expressions.names: known}
-    for k, (obligation, cases) in enumerate(zip(obligations, proved, strict=True)):
-        names = tuple(obligation.names)
-        normal = earlier.get(names)
-        if normal is not None and not (normal.reusable and len(normal.expressions.entries) <= _SHARED):
-            normal = None  # limits on sizes count for each inequality
-        try:
-            earlier[names] = obligation.check(cases, normal)
-        except Rejected as reason:
-            raise Rejected(f"inequality {k + 1} of {len(obligations)}: {reason}") from None
 
 
 def rest_of(value: object) -> tuple[str, Fraction]:

@@ -12,7 +12,7 @@ import click
 from surctl.cli import lib
 from surctl.cli.options import FILE
 from surctl.cli.output import as_json, finish
-from surctl.errors import InputError
+from surctl.errors import InputError, writing
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _NEXT = {
@@ -81,10 +81,8 @@ def write_new(target: Path, text: str, *, force: bool) -> Path:
     Raises:
         InputError: the file exists and `force` is not set, or the file cannot be written.
     """
-    try:
+    with writing(target, remedy="choose another --out"):  # the file name may be too long
         there = target.exists()
-    except OSError as error:  # a file name that is too long
-        raise InputError(f"cannot be written ({error.strerror})", file=target, remedy="choose another --out") from None
     if there and not force:
         raise InputError("already exists", file=target, remedy="choose another --out, or add --force")
     return lib.write_file(target, text)

@@ -128,9 +128,11 @@ def _ran(own: OwnSystem, values: Mapping[str, Any], duration: float, out: Path |
     then = [own.command("verify", *own.settings), *swept[:1]] if record.stopped != lib.LOST else []
     good = [line for line in judged if line.startswith("ok ")]
     brief = [own.end_text(record), *(line for line in judged if line not in good)]
-    failed = {line.text.partition(" = ")[0] for line in assessment.lines if line.rank < 2}
-    shown = [] if record.lost else [words for line in costs if (words := line.split())[0] not in failed]
-    brief += [*map(" ".join, shown), *good]
+    end = {"duration": record.duration, "dt": own.system.dt}
+    verdicts = {n: lib.cost_verdicts(n, cost, record.figures[n], **end) for n, cost in own.system.costs.items()}
+    doubtful = [name for name, lines in verdicts.items() if any(line.rank < 2 for line in lines)]
+    shown = [] if record.lost else own.cost_lines(record.figures, without=doubtful)
+    brief += [*(" ".join(line.split()) for line in shown), *good]
     lines = [brief[0], *costs, *judged, *(f"  {file}" for file in files)]
     return Ran(data, lines, brief, assessment.accepted(), then)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ import click
 from surctl.cli import lib
 from surctl.cli.application import applications, own_parameters
 from surctl.cli.options import typed
-from surctl.errors import InputError, NotApplicable, check_known, nearest
+from surctl.errors import InputError, NotApplicable, check_known, mistakes_in, nearest
 
 if TYPE_CHECKING:
     import numpy as np
@@ -77,10 +77,8 @@ class OwnSystem:
         if seconds is None:
             remedy = "give the duration of a run [s], or System(duration=…)"
             raise InputError("is missing", key="--seconds", remedy=remedy)
-        try:
+        with mistakes_in(file, key):
             steps = lib.periods(self.system, seconds)
-        except InputError as error:
-            raise InputError(error.problem, file=file, key=key, value=seconds, remedy=error.remedy) from None
         if steps > _MOST_PERIODS:
             remedy = f"give at most {_MOST_PERIODS * self.system.dt:g} s"
             raise InputError(f"is {steps:.9g} control periods", file=file, key=key, value=seconds, remedy=remedy)
@@ -125,15 +123,15 @@ class OwnSystem:
         why = f"{record.stopped}: {record.lost}" if record.lost else record.stopped
         return f"{self.system.title}: ended after {record.duration:.10g} s ({why}), control period {self.system.dt:g} s"
 
-    def cost_lines(self, figures: Mapping[str, float]) -> list[str]:
-        """Return one line for each cost: name, value with unit, and what it means."""
+    def cost_lines(self, figures: Mapping[str, float], *, without: Collection[str] = ()) -> list[str]:
+        """Return one line for each cost, `without` some of them: name, value with unit, and what it means."""
         width = max(map(len, figures), default=0)
         if figures and all(map(math.isnan, figures.values())):
             return ["  no costs: a run that ends at its start, or is not finite, has none"]
         lines = []
         for (name, value), cost in zip(figures.items(), self.system.costs.values(), strict=True):
             unit, meaning = "" if cost.unit == "1" else f" {cost.unit}", f"  {cost.meaning}" if cost.meaning else ""
-            lines.append(f"  {name:<{width}}  {value:.6g}{unit} ({cost.how}){meaning}")
+            lines += [] if name in without else [f"  {name:<{width}}  {value:.6g}{unit} ({cost.how}){meaning}"]
         return lines
 
     def cost_data(self, figures: Mapping[str, float]) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from surctl.cli.output import (
     timed,
 )
 from surctl.cli.subject import assigned, is_system, load_system, refuse_others, region_words
-from surctl.errors import InputError, NotApplicable, check_once
+from surctl.errors import InputError, NotApplicable, check_once, mistakes_in
 
 _LONG = 60.0  # s
 
@@ -153,10 +153,8 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
         prepare_out(out)
 
     def decided(word: str, problem: lib.Problem) -> Decided:
-        try:
+        with mistakes_in(Path(word)):
             solution = lib.solve(problem, time_limit=time_limit, seed=seed, progress=progress)
-        except InputError as error:
-            raise (error if error.file else error.inside(Path(word))) from None
         return solved(solution, out, expected=problem.expected)
 
     claims = [Claimed(one.dynamics.name, partial(decided, word, one), time_limit) for word, one in problems.items()]

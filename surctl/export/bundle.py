@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from surctl import __version__
 from surctl.certcheck.bundle import FORMAT_VERSION, manifest_seal, numbers_sha256
-from surctl.errors import InputError, cannot_write
+from surctl.errors import InputError, writing
 from surctl.export.contract import DATA, FILES, Exportable, checked_name, commands, is_robot_law
 from surctl.export.envelope import Envelope, anywhere, self_test_vectors
 from surctl.export.guard_text import range_text
@@ -241,10 +241,9 @@ def write_bundle(bundle: Bundle, directory: Path | str) -> list[ExportedFile]:
     target = Path(directory)
     staging = target.parent / f".{target.name}.{os.getpid()}.tmp"
     try:
-        _stage(bundle, staging)
-        _publish(bundle, staging, target)
-    except OSError as error:
-        raise cannot_write(target, error) from None
+        with writing(target):
+            _stage(bundle, staging)
+            _publish(bundle, staging, target)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     written = [ExportedFile(target / name, _sha256(text)) for name, text in bundle.files.items()]
@@ -257,12 +256,11 @@ def check_folder(directory: Path | str) -> None:
     target = Path(directory)
     staging = target.parent / f".{target.name}.{os.getpid()}.tmp"
     try:
-        staging.mkdir(parents=True)
-        if target.exists():
-            (target / staging.name).mkdir()
-            (target / staging.name).rmdir()
-    except OSError as error:
-        raise cannot_write(target, error) from None
+        with writing(target):
+            staging.mkdir(parents=True)
+            if target.exists():
+                (target / staging.name).mkdir()
+                (target / staging.name).rmdir()
     finally:
         shutil.rmtree(staging, ignore_errors=True)
 

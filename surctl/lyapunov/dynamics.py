@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
+from surctl.system.plant import runge_kutta
 from surctl.verification.formula import IDENTIFIER, Node, derivative, number, ordered, substitute, to_casadi
 
 Array = NDArray[np.float64]
 
 _REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate of the same state in the box
+_SUBSTEPS = 4  # of the integration over a control period
 _DRAWS, _ULPS = 61, 8  # sampled points of the box; rounding of a stated equilibrium, in units of its last digit
 
 
@@ -281,6 +283,23 @@ class Dynamics:
     @cached_property
     def _function(self) -> ca.Function:
         return self.compiled(*self.rates)
+
+    @cached_property
+    def held(self) -> ca.Function:
+        """The sampled form over a period, integrated numerically: a map of states (n, N) and parameters (m, N)."""
+        form, at = self.sampling, self.symbols
+        assert form is not None
+        states, parameters = (ca.vertcat(*[at[v.name] for v in part]) for part in (self.states, self.parameters))
+        commands = {command.name: ca.SX.sym(command.name) for command in form.commands}
+        plant, held = ca.vertcat(*[at[name] for name in form.flow]), ca.vertcat(*commands.values())
+        rates = ca.vertcat(*[to_casadi(rate, at | commands) for rate in form.flow.values()])
+        flow = ca.Function("flow", [plant, held, parameters], [rates])
+        held = ca.vertcat(*[to_casadi(command.value, at) for command in form.commands])
+        for _ in range(_SUBSTEPS):
+            plant = runge_kutta(lambda y, _: flow(y, held, parameters), plant, form.period / _SUBSTEPS)
+        after = {name: to_casadi(node, at) for name, node in form.next.items()}
+        after |= dict(zip(form.flow, ca.vertsplit(plant), strict=True))
+        return ca.Function("held", [states, parameters], [ca.vertcat(*[after[name] for name in self.names])])
 
     def evaluate(self, x: ArrayLike, w: ArrayLike | None = None) -> Array:
         """Return the rates or successors (n, N) at states x (n, N) for parameters w (m, N), by default their middle."""

@@ -17,7 +17,7 @@ from surctl.errors import EmptyDomain
 from surctl.lyapunov.claims import Inequality, inequality
 from surctl.lyapunov.dynamics import Dynamics, Range, exact
 from surctl.lyapunov.near import bends
-from surctl.lyapunov.rays import directions, extent, hugged
+from surctl.lyapunov.rays import directions, extent, farthest, hugged
 from surctl.verification.falsifier import search, sobol
 from surctl.verification.formula import Node, number, power, variable
 from surctl.verification.proving import certain_excess
@@ -29,6 +29,7 @@ _INSIDE, _ON_FACE = (_SAMPLES, 4), (64, 1)  # samples and starts of a search; on
 _ROUNDS, _LOWER, _MARGIN = 5, 0.999, 1.05  # searches; a level that counts as lower; level of the next box
 _TRIED = 24  # points of a search that may be confirmed
 _RAYS, _MOST_CORNERS = 1024, 16
+_FEW_RAYS, _ALONG, _NEARER = 256, np.linspace(0.04, 1.0, 25), 0.3  # for a simulated period
 _NEAREST = 0.004  # least relative distance from the equilibrium
 _FLAT = 1e-8  # eigenvalues below this share of the largest one count as 0
 _LITTLE = 1e-9  # share of V by which it may grow close to the equilibrium by rounding
@@ -87,6 +88,40 @@ def least_level(dynamics: Dynamics, function: Node, rate: float | None = None, *
             break
         least = trial
     return Falsified(float(falsifier.values.max()), {}, "none", confirmed=False) if least is None else least
+
+
+def least_held_level(dynamics: Dynamics, function: Node, share: float, *, seed: int = 0) -> Falsified:
+    """Search on rays for the least V at which V does not decrease over a simulated control period, or on a face.
+
+    Args:
+        dynamics: the dynamics, with their sampling.
+        function: V, a quadratic form about the equilibrium.
+        share: share of V that must be lost in a period.
+        seed: seed of the rays.
+    """
+    d, n, value = dynamics, len(dynamics.states), dynamics.compiled(function)
+    level = float(((d.freedom / farthest(d, function, 1.0)) ** 2).min())
+    least = Falsified(level, {}, "face", confirmed=True)
+    centre, spread = np.zeros(n), 1.0
+    for _ in range(_ROUNDS):
+        rays = centre[:, None] + spread * np.random.default_rng(seed).normal(size=(n, _FEW_RAYS))
+        step = d.freedom[:, None] * rays
+        step *= extent(d.equilibrium, d.box, step)
+        steps = (step[:, :, None] * _ALONG).reshape(n, -1)
+        x = d.equilibrium[:, None] + steps
+        v, worst = np.asarray(value(x, d.ranges.mean(axis=0))).ravel(), None
+        for w in d.corners(most=4).T:
+            fails = np.asarray(value(d.held(x, w), w)).ravel() >= (1 - share) * v
+            at = int(np.argmin(np.where(fails, v, np.inf)))
+            if fails[at] and v[at] < least.level:
+                names, worst = [v.name for v in d.variables], steps[:, at] / d.freedom
+                values = dict(zip(names, [*x[:, at].tolist(), *w.tolist()], strict=True))
+                least = Falsified(float(v[at]), values, "decrease", confirmed=False)
+        if worst is None:
+            break
+        # the next rays are near the worst point
+        centre, spread = worst / np.linalg.norm(worst), spread * _NEARER
+    return least
 
 
 def least_where(dynamics: Dynamics, function: Node, reached: Node, *, floor: float = 0.0, seed: int = 0) -> float:

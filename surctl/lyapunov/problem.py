@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from pydantic import Field, StrictFloat, StrictStr
 
-from surctl.errors import InputError
+from surctl.errors import InputError, mistakes_in
 from surctl.files import Strict, read_toml, require_doubles, validate
 from surctl.lyapunov.claims import DynamicClaim, Safety, Stability
 from surctl.lyapunov.dynamics import Dynamics, Range, State
@@ -156,10 +156,8 @@ def load_problem(path: Path, *, changes: Mapping[str, Any] | None = None) -> Pro
     entries = {key: value for key, value in entries.items() if value is not None}
     table = validate(entries, _ProblemTable, file=path)
     require_doubles(path)
-    try:
+    with mistakes_in(path):
         return _problem(table, path)
-    except InputError as error:
-        raise (error if error.file else error.inside(path)) from None
 
 
 def _problem(table: _ProblemTable, path: Path) -> Problem:

@@ -14,10 +14,10 @@ from surctl.lyapunov.claims import Stability
 from surctl.lyapunov.decide import Decision, decide_motion, has_any, prove_by_slopes, prove_motion
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import Linear, held_parameters, inexact, linearisation
-from surctl.lyapunov.falsified import Falsified, least_level
+from surctl.lyapunov.falsified import Falsified, least_held_level, least_level
 from surctl.lyapunov.near import Failure, fails_nearby, point_text, short, stationary_state, too_fast
 from surctl.lyapunov.rays import enclosing, hugged
-from surctl.lyapunov.sampled import sampled_region
+from surctl.lyapunov.sampled import SampledStability, sampled_region
 from surctl.lyapunov.slope_search import LABEL as SLOPES
 from surctl.lyapunov.slope_search import form_of, relative_volume, slope_candidate
 from surctl.verification.formula import BRANCHING, Node, ordered, text_of
@@ -143,7 +143,10 @@ def find_stability(
         held = sampled_region(d, rate, time_limit=_SAMPLED * time_limit, progress=progress)
         if held is not None:
             volume = relative_volume(d, form_of(held.claim.function, d.names) / held.document["claim"]["level"])
-            return StabilityResult("proved", "", held, None, SLOPES, volume)
+            assert isinstance(held.claim, SampledStability)
+            share = held.claim.rate or 0.0
+            bound = None if d.shifts else least_held_level(d, held.claim.function, share, seed=seed)
+            return StabilityResult("proved", "", held, bound, SLOPES, volume)
         if _jumps(d.rates):
             return StabilityResult("unknown", f"no region of the sampled loop is proved, and the law {_JUMPS}")
     if d.shifts:

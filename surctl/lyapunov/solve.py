@@ -23,7 +23,7 @@ from surctl.lyapunov.rays import farthest
 from surctl.lyapunov.sampled import SampledStability
 from surctl.lyapunov.search import find_stability, unprovable
 from surctl.verification.formula import parse, text_of, values_of
-from surctl.verification.formula.parser import clipped, decimal_text
+from surctl.verification.formula.parser import LONGEST, clipped, decimal_text
 
 # What is proved about dynamics where a claim is not: a lower level, a lower rate, narrower ranges, a smaller box
 
@@ -102,6 +102,7 @@ class Solution:
     seconds: float
     counterexample: Mapping[str, float] = field(default_factory=dict)
     instead: str = ""
+    cause: str = ""
 
     @property
     def document(self) -> Mapping[str, Any]:
@@ -151,14 +152,16 @@ class Solution:
             first = f"the claim that {first} {fate}{f': {self.reason}' * bool(self.reason)}"
         elif self.vacuous:
             first = f"vacuous, because {self.vacuous}: {first}"
+        origin = f", from: {self.origin}" if self.origin else ""
         lines = [
             f"{self.verdict:<8} {name}: {first} ({self.seconds:.1f} s)",
-            f"  {letter} = {text_of(claim.function)}{f', from: {self.origin}' if self.origin else ''}",
+            f"  {letter} = {clipped(text_of(claim.function), LONGEST)}{origin}",
             *stated_lines(claim.dynamics, claim.kind, sampled=self.sampled, radii=getattr(claim, "radii", None)),
         ]
         if self.falsified is not None and self.verdict == "proved" and self.level is not None:
             share = self.level / self.falsified
-            lines.append(f"  level {self.level:g} is {100 * share:.1f} % of the least level with a counterexample")
+            least = "at which the region leaves the box" if self.cause == "face" else "with a counterexample"
+            lines.append(f"  level {self.level:g} is {100 * share:.1f} % of the least level {least}")
         if decision.rule and self.verdict == "proved":
             lines.append(f"  proved by {decision.rule}")
         return [*lines, *then]
@@ -191,9 +194,13 @@ class Solution:
 
     @property
     def dynamics(self) -> Dynamics:
-        """The dynamics of the claim in the whole box of the problem; a searched region is proved in a smaller box."""
+        """The dynamics of the claim in the whole box of the problem; a searched region is proved in a smaller box.
+
+        Only those of a claim about a sampled loop have its sampled form.
+        """
         whole = {s.name: (s.lower, s.upper) for s in self.problem.dynamics.states}
-        return self.problem.dynamics if self.decision is None else self.decision.claim.dynamics.on(whole)
+        d = self.problem.dynamics if self.decision is None else self.decision.claim.dynamics.on(whole)
+        return d if self.sampled else replace(d, sampling=None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the solution as plain data for JSON."""
@@ -293,11 +300,11 @@ def _solved(
             problem.dynamics, function=problem.function, rate=problem.rate, first=first, time_limit=time_limit,
             seed=seed, progress=progress,
         )  # fmt: skip
-        falsified = None if result.falsified is None else result.falsified.level
+        falsified, cause = (None, "") if result.falsified is None else (result.falsified.level, result.falsified.cause)
         origin = result.label if problem.function is None else ""
         return Solution(
             problem, result.verdict, result.reason, result.decision, falsified, origin, time.perf_counter() - began,
-            result.counterexample or (result.decision.counterexample if result.decision else {}), result.instead,
+            result.counterexample or (result.decision.counterexample if result.decision else {}), result.instead, cause,
         )  # fmt: skip
     if problem.function is not None:
         return _with_multiplier(problem, time_limit, seed, progress)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import combinations
 
 import numpy as np
@@ -28,15 +29,16 @@ _TURN = 0.02  # step of a drawn solution, as a share of the box over the largest
 def plot_motion(dynamics: Dynamics, function: Node, *, level: float, falsified: float | None = None) -> Figure:
     """Plot the region V < level in every plane of two states, with all other states at the equilibrium.
 
-    The planes are those of the first states, at most six. Arrows show the vector field in the plane (continuous time).
-    Grey lines are solutions that start on the boundary of the region in the plane; with more than two states, they
-    leave the plane, and the plot shows their projection.
+    The planes are those of the first states, at most six. Arrows show the vector field in the plane (continuous time),
+    or the change over a control period if the dynamics have a sampled form. Grey lines are solutions that start on the
+    boundary of the region in the plane; with more than two states, they leave the plane, and the plot shows their
+    projection.
 
     Args:
-        dynamics: the dynamics; parameters have the middle of their ranges.
+        dynamics: the dynamics; parameters have the middle of their ranges. The sampled form, if any, is plotted.
         function: V, an expression of the states.
         level: level of the region.
-        falsified: least level at which V is known not to decrease; drawn as a dashed line.
+        falsified: least level at which the claim is known to fail, an upper limit; drawn as a dashed line.
 
     Example:
         >>> from surctl.lyapunov import Dynamics, State
@@ -64,7 +66,7 @@ def plot_motion(dynamics: Dynamics, function: Node, *, level: float, falsified: 
         Line2D([], [], color=MUTED, lw=0.8, label="solutions from the boundary"),
     ]
     if falsified is not None:
-        handles.insert(1, Line2D([], [], color=AVOIDING, lw=1.4, ls="--", label=f"V = {falsified:.4g}, falsified"))
+        handles.insert(1, Line2D([], [], color=AVOIDING, lw=1.4, ls="--", label=f"V = {falsified:.4g}, upper limit"))
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=8.5, frameon=False)
     return figure
 
@@ -83,7 +85,7 @@ def _plane(
     ax.locator_params(axis="x", nbins=7)  # more numbers of three decimals touch each other
     if not dynamics.discrete:
         few = np.arange(_GRID)[_GRID // (2 * _ARROWS) :: _GRID // _ARROWS]
-        rates = dynamics.evaluate(points)[[i, j]].reshape(2, _GRID, _GRID)[:, few[:, None], few]
+        rates = _moved(dynamics, points)[[i, j]].reshape(2, _GRID, _GRID)[:, few[:, None], few]
         u, v = rates / (high - low)[[i, j], None, None]
         size = np.maximum(np.hypot(u, v), 1e-12)
         ax.quiver(a[few], b[few], u / size, v / size, angles="uv", pivot="mid", color=ROBOT, scale=26, width=0.004)
@@ -123,15 +125,25 @@ def _solutions(dynamics: Dynamics, start: Array) -> Array:
     """Return solutions (steps, n, N) from the states (n, N); a solution ends where it leaves the box by far."""
     low, high = dynamics.box
     if dynamics.discrete:
-        path = [start]
-        for _ in range(_STEPS // 10):
-            path.append(_inside(dynamics.evaluate(path[-1]), low, high))
-        return np.array(path)
+        return _path(dynamics.evaluate, start, _STEPS // 10, dynamics.box)
+    if dynamics.sampling is not None:
+        return _path(lambda x: x + _moved(dynamics, x), start, _STEPS, dynamics.box)
     rates = np.abs(dynamics.evaluate(start)) / (high - low)[:, None]
     step = _TURN / max(float(rates[np.isfinite(rates)].max(initial=1e-9)), 1e-9)
+    return _path(lambda x: runge_kutta(lambda y, _: dynamics.evaluate(y), x, step), start, _STEPS, dynamics.box)
+
+
+def _moved(dynamics: Dynamics, x: Array) -> Array:
+    """Return the rates at states (n, N), or the changes over a control period of the sampled form."""
+    if dynamics.sampling is None:
+        return dynamics.evaluate(x)
+    return np.asarray(dynamics.held(x, dynamics.ranges.mean(axis=0))) - x
+
+
+def _path(step: Callable[[Array], Array], start: Array, count: int, box: Array) -> Array:
     path = [start]
-    for _ in range(_STEPS):
-        path.append(_inside(runge_kutta(lambda x, _: dynamics.evaluate(x), path[-1], step), low, high))
+    for _ in range(count):
+        path.append(_inside(step(path[-1]), *box))
     return np.array(path)
 
 

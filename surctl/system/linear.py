@@ -12,63 +12,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.ir import Layout, Program, lower, replay, to_casadi
+from surctl.ir import Layout, Program, to_casadi
 from surctl.ir.native import runnable
 from surctl.ir.procedure import Procedure
 from surctl.ir.routine import nested
 from surctl.system.controller import Controller, SampledController
 from surctl.system.linear_loop import LinearLoop, LoopNames, held_plant
 from surctl.system.loop import System, once_per_system
-from surctl.system.parts import entry_labels, entry_units
+from surctl.system.parts import entry_labels, entry_units, undefined_operation
 from surctl.system.plant import Plant, runge_kutta
 from surctl.system.record import Record
 from surctl.system.sampled import Instant
 from surctl.system.values import RunNumbers, run_numbers
 from surctl.units import as_numbers
 
-# Operations of a function that have no finite value or derivative at a point
-
-
 Array = NDArray[np.float64]
-_UNDEFINED_WITHIN = 1e-12
-
-
-def _undefined_operation(function: ca.Function, arguments: Sequence[Array], *, slope: bool) -> str:
-    """Return the first operation without a finite value, or derivative (`slope`), as text; empty if none is found."""
-    try:
-        program = lower(function)
-    except InputError:  # an operation that the instruction list does not support
-        return ""
-    count = len(program.instructions)
-    every = Program(program.name, program.inputs, (("all", count),), program.instructions, (tuple(range(count)),))
-    values = replay(every, *(np.array(one, dtype=float).reshape(-1) for one in arguments))[0]
-    for instruction, value in zip(program.instructions, values, strict=True):
-        operands = [float(values[k]) for k in instruction.args] if instruction.op not in ("const", "input") else []
-        undefined = _singular(instruction.op, operands) if slope else bool(operands) and not np.isfinite(value)
-        if np.isfinite(operands).all() and undefined:
-            return _text(instruction.op, operands)
-    return ""
-
-
-def _singular(op: str, operands: list[float]) -> bool:
-    match op, operands:
-        case "sqrt" | "log", [value]:
-            return value < _UNDEFINED_WITHIN
-        case "acos", [value]:
-            return abs(value) > 1 - _UNDEFINED_WITHIN
-        case "atan2", [y, x]:
-            return abs(y) < _UNDEFINED_WITHIN and abs(x) < _UNDEFINED_WITHIN
-        case "inv", [value]:
-            return abs(value) < _UNDEFINED_WITHIN
-        case "div", [_, value]:
-            return abs(value) < _UNDEFINED_WITHIN
-    return False
-
-
-def _text(op: str, operands: list[float]) -> str:
-    shown = [f"{round(value, 9) + 0.0:g}" for value in operands]
-    return {"inv": "1/{}", "div": "{}/{}"}.get(op, op + "(" + ", ".join(["{}"] * len(shown)) + ")").format(*shown)
-
 
 # Linearisation of a plant alone about a point, with exact Jacobians
 
@@ -356,15 +314,16 @@ class _Rest:
         measured, _ = self.functions["measure"](x, *numbers)
         u = self.functions["inputs"](measured, self.reference)
         f = law.call([z, u, self.numbers.gains[0]])[0]
-        plant = _undefined_operation(self.functions["rate"], [x, f, *numbers], slope=slope_only)
-        cause = plant or _undefined_operation(law, [z, u, self.numbers.gains[0]], slope=slope_only)
-        where = f" of the {'plant' if plant else 'law'}" if cause else ""
+        plant, gains = self.system.plant, self.numbers.gains[0]
+        at = [x, f, *numbers]
+        cause = undefined_operation("plant", self.functions["rate"], at, {3: plant.parameters}, slope=slope_only)
+        own = {2: self.system.controller.gains}
+        cause = cause or undefined_operation("law", law, [z, u, gains], own, slope=slope_only)
         raise InputError(
-            f"{what} is not finite where the search ends ({_place(labels, point)})"
-            + (f", because of {cause}{where}" if cause else ""),
-            key=self.system.plant.name,
+            f"{what} is not finite where the search ends ({_place(labels, point)}){cause}",
+            key=plant.name,
             remedy="write it smoothly there (sqrt(x**2 + 1e-12), say), or begin near the equilibrium: "
-            f"start.{self.system.plant.state.ports[0].name}=…",
+            f"start.{plant.state.ports[0].name}=…",
         )
 
     def operating(self, point: Array) -> Operating:

@@ -1,8 +1,8 @@
-"""Arguments and results of a user's functions by port names, and mistakes in them, such as `math.sin`."""
+"""Arguments and results of a user's functions by port names, mistakes in them (`math.sin`), undefined operations."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, nearest
-from surctl.ir import Layout, Port
+from surctl.ir import Block, Layout, Port, Program, lower, replay
 from surctl.ir.c99 import identifier
 from surctl.own_code import remedy_of
 
 Parts: TypeAlias = Mapping[str, ca.SX]
 EMPTY = Layout(())
 _FLOAT = "__float__"
+_UNDEFINED_WITHIN = 1e-12  # of an operand from the point at which an operation has no derivative
+_DIVERGED = 1e100  # an operand above it is of a loop that diverges, and no mistake of the operation
 
 
 def checked_layout(layout: object, *, key: str) -> Layout:
@@ -146,3 +148,64 @@ def expression(value: Any, *, key: str) -> ca.SX:
         raise InputError(
             f"is of type {type(value).__name__}", key=key, remedy="return CasADi SX expressions or numbers"
         ) from None
+
+
+# The operation from which a result of a function has no finite value or derivative
+
+
+def undefined_operation(
+    of: str, function: ca.Function | Block, arguments: Sequence[ArrayLike], known: Mapping[int, Layout], *,
+    slope: bool = False,
+) -> str:  # fmt: skip
+    """Return the end of a message: ", because of 2/0 of the plant (mass = 0)"; empty if no such operation is found.
+
+    Args:
+        of: what the function describes.
+        arguments: its arguments, flat.
+        known: layouts of the arguments that a user sets, by number; they are named if nothing else decides.
+        slope: find the first operation without a finite derivative instead.
+    """
+    try:
+        program = lower(function) if isinstance(function, ca.Function) else function
+    except InputError:  # an operation that the instruction list does not support
+        return ""
+    if not isinstance(program, Program):  # it contains loops
+        return ""
+    steps, results = program.instructions, [k for refs in program.output_refs for k in refs]
+    operands = [() if step.op in ("const", "input") else step.args for step in steps]
+    every = Program(program.name, program.inputs, (("all", len(steps)),), steps, (tuple(range(len(steps))),))
+    values = replay(every, *(np.array(one, dtype=float).reshape(-1) for one in arguments))[0]
+    if slope:
+        at = next((k for k, own in enumerate(operands) if _singular(steps[k].op, values[list(own)].tolist())), 0)
+    else:  # back from a result to the operation whose operands are finite
+        at = next((k for k in results if not np.isfinite(values[k])), 0)
+        while lost := [k for k in operands[at] if not np.isfinite(values[k])]:
+            at = lost[0]
+    own = values[list(operands[at])].tolist()
+    if not own or max(map(abs, own)) > _DIVERGED:
+        return ""
+    decisive, names = {operands[at][-1]}, list[str]()
+    for k in range(at, -1, -1):
+        if k in decisive and steps[k].op == "input":
+            argument, entry = steps[k].args
+            labels = entry_labels(known.get(argument, EMPTY))
+            names.append(f"{labels[entry]} = {values[k] + 0.0:g}" if labels else "")
+        elif k in decisive:
+            decisive.update(operands[k])
+    shown, op = [f"{round(value, 9) + 0.0:g}" for value in own], steps[at].op
+    text = {"inv": "1/{}", "div": "{}/{}"}.get(op, op + "(" + ", ".join(["{}"] * len(shown)) + ")").format(*shown)
+    numbers = f" ({', '.join(names)})" if names and all(names) else ""
+    return f", because of {text} of the {of}{numbers}"
+
+
+def _singular(op: str, operands: list[float]) -> bool:
+    match op, operands:
+        case "sqrt" | "log", [value]:
+            return value < _UNDEFINED_WITHIN
+        case "acos", [value]:
+            return abs(value) > 1 - _UNDEFINED_WITHIN
+        case "atan2", [y, x]:
+            return abs(y) < _UNDEFINED_WITHIN and abs(x) < _UNDEFINED_WITHIN
+        case ("inv", [value]) | ("div", [_, value]):
+            return abs(value) < _UNDEFINED_WITHIN
+    return False

@@ -19,7 +19,7 @@ from surctl.plotted import Plotted
 from surctl.recorded_write import RECORD_FORMATS, Column, write_csv, write_mat, write_netcdf
 from surctl.system.controller import NONFINITE, lost_entry
 from surctl.system.loop import ENDED, LOST, System, once_per_system
-from surctl.system.parts import entry_labels, entry_units, not_finite
+from surctl.system.parts import entry_labels, entry_units, not_finite, undefined_operation
 from surctl.system.runs import figures_of, first_sums, moved_state, periods, summed
 from surctl.system.sampled import Instant
 from surctl.system.values import run_numbers
@@ -45,8 +45,8 @@ class Record(Plotted):
         stopped: reason for the end of the run: the name of a stop of the system, "time" or "not finite".
         controller: arguments of the controller, for comparison with the exported C code: states (n, states), inputs (n,
             inputs), and gains (gains,).
-        lost: for a run that ended as "not finite", the first number that is not finite and its time, such as "state
-            x[0] at 1.2 s"; otherwise empty.
+        lost: for a run that ended as "not finite", the first number that is not finite, its time and the cause, if it
+            is found, such as "state x[0] at 1.2 s, because of 2/0 of the plant (mass = 0)"; otherwise empty.
     """
 
     PLOT = "surctl.report.system_plots:plot_record"
@@ -140,7 +140,7 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
     start, plant, constants, disturbance, gains = (
         row[0] for row in (numbers.start, numbers.plant, numbers.reference, numbers.disturbance, numbers.gains)
     )
-    sense, move, judge = _functions(system)
+    motion, (sense, move, judge) = _functions(system)
     x, z = start, system.controller.initial_state()
     q, memory, noise = numbers.blocks[0], system.blocks.memory.pack(), np.zeros(0)
     if system.blocks.noise:
@@ -156,9 +156,12 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
         costs, stops = judge(x, step.tau, disturbance, constants, plant, gains, step.telemetry, t, memory)
         rows.append((x, step.tau, y, reference, np.asarray(step.telemetry), z, u))
         status.append(step.status)
-        after, memory, noise = move(x, step.tau, t, plant, disturbance, q, memory, noise, count)
+        moving = (x, step.tau, t, plant, disturbance, q, memory, noise, count)
+        after, memory, noise = move(*moving)
         if step.status == NONFINITE or not (np.isfinite(after).all() and np.isfinite(costs).all()):
             stopped, lost = LOST, _lost(system, k, (z, u, gains), costs, after)
+            law = undefined_operation("law", system.controller.block, (z, u, gains), {2: system.controller.gains})
+            lost += law or undefined_operation("plant", motion, moving, {3: system.plant.parameters})
             break
         judged.append(costs)
         if np.any(stops != 0):
@@ -223,8 +226,8 @@ def _places(system: System) -> dict[str, tuple[str, Layout, str]]:
 
 
 @once_per_system
-def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
-    # outputs with inputs and references; plant state after a period; costs with stops
+def _functions(system: System) -> tuple[ca.Function, tuple[Callable[..., list[Array]], ...]]:
+    # plant state after a period; outputs with inputs and references, that state, and costs with stops, on vectors
     plant, t = system.plant, ca.SX.sym("t")
     x, p = ca.SX.sym("x", plant.state.size), ca.SX.sym("p", plant.parameters.size)
     r, d = ca.SX.sym("r", system.references.size), ca.SX.sym("d", plant.disturbances.size)
@@ -239,7 +242,7 @@ def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
     constants = {"plant": p, "disturbance": d, "blocks": q}
     moved = moved_state(system, x, command, constants, t, count=count, memory=memory, noise=noise)
     move = ca.Function("move", [x, command, t, p, d, q, memory, noise, count], list(moved))
-    return on_vectors(sense), on_vectors(move), on_vectors(system.signals)
+    return move, (on_vectors(sense), on_vectors(move), on_vectors(system.signals))
 
 
 @once_per_system

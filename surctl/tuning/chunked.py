@@ -25,7 +25,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, SurctlError, cannot_write
+from surctl.errors import InputError, SurctlError, writing
 from surctl.files import write_file
 from surctl.store import RESUME, ChunkStore, one_at_a_time
 
@@ -317,14 +317,12 @@ def _set_aside(target: Path, progress: Progress) -> None:
     names = (f"sweep-unreadable{number or ''}.nc" for number in count())
     free = next(name for name in names if not target.with_name(name).exists())
     other = target.with_name(free if request is None else f"sweep-{request[:12]}.nc")
-    try:
+    with writing(target, **RESUME):
         for path in (path for pattern in _FROM_TABLE for path in sorted(target.parent.glob(pattern))):
             if not _RENAMED.match(path.name):
                 rest = path.name.removeprefix("sweep") if path.name.startswith("sweep") else f"-{path.name}"
                 path.replace(path.with_name(other.stem + rest))
         target.replace(other)
-    except OSError as error:
-        raise cannot_write(target, error, **RESUME) from None
     progress(f"{target} contained the table of another request; it is now {other}")
 
 

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, mistakes_in, nearest
 from surctl.plotted import Plotted
 from surctl.system import LinearLoop, System, linearise
 from surctl.units import in_unit
@@ -140,13 +140,11 @@ class LoopGoal(ABC):
         Raises:
             InputError: the goal names a signal that the loop does not have.
         """
-        try:
+        with mistakes_in(None, f"goals.{self.name}."):
             self._check(loop)
             if not loop.stable:
                 return Judgement(np.nan, "1", np.nan, np.inf, None, f"the loop is {loop.stability.lower()}")
             return self._judged(loop)
-        except InputError as error:
-            raise error.inside(None, f"goals.{self.name}.{error.key}") from None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the goal as plain data for JSON."""
@@ -229,10 +227,8 @@ class Between(LoopGoal):
         own = end if not over_source else "1" if end == source else f"({end})/({source})"
         if not unit or not end or (over_source and not source):
             return 1.0, unit or own if end and source else unit or "1"
-        try:
+        with mistakes_in(None, "at_most.unit"):
             return 1 / in_unit(1.0, unit, own), unit
-        except InputError as error:
-            raise InputError(error.problem, key="at_most.unit", value=unit, remedy=error.remedy) from None
 
 
 # Goals judged at several operating points of a system; the worst point decides

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from pydantic import Field, StrictFloat, StrictStr
 
-from surctl.errors import InputError
+from surctl.errors import InputError, mistakes_in
 from surctl.files import Strict, load_model, quoted, require_doubles
 from surctl.verification.claim import Claim, Motion, Variable
 from surctl.verification.formula import (
@@ -131,8 +131,8 @@ def load_claim(path: Path) -> Claim:
     exact = Statement(tuple(names), lower, upper, parts[0], parts[1], tuple(parts[2:]))
     left, right, *casadi_rows = (to_casadi(node, symbols) for node in parts)
     statement = table.statement or f"{table.left} <= {table.right}"
-    try:
-        claim = Claim(
+    with mistakes_in(path):
+        return Claim(
             table.name, statement, table.equation, table.errata, table.expected,
             tuple(
                 Variable(name, symbols[name], entry.unit, entry.lower, entry.upper, entry.meaning)
@@ -141,9 +141,6 @@ def load_claim(path: Path) -> Claim:
             left, right, table.unit, ca.vertcat(ca.SX(0, 1), *casadi_rows), tuple(table.witnesses),
             _motion(table, read), table.tolerance, exact=exact,
         )  # fmt: skip
-    except InputError as error:
-        raise (error if error.file else error.inside(path)) from None
-    return claim
 
 
 def _checked_names(table: _ClaimTable, path: Path) -> list[str]:

@@ -10,7 +10,8 @@ import pytest
 
 from surctl.certcheck import barrier, check_document, lyapunov
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.motion import Motion, Obligation, check_all, read_motion, require_loop, rest_of
+from surctl.certcheck.inequality import Obligation, check_all
+from surctl.certcheck.motion import Motion, read_motion, require_loop, rest_of
 from surctl.certcheck.patience import patient
 from tests.certcheck.test_lyapunov import LOOP, _case, _changed, _state
 

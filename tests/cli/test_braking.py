@@ -91,7 +91,8 @@ def test_a_margin_too_small_for_the_proof_has_a_remedy_that_the_next_commands_fo
     assert first.status == 1 and f'set margin = "{margin:g} m" in the gain file' in claim["remaining"]
     at = r"the gain margin is too small by [\d.]+ m at -?[\d.]+ m/s towards it, speed bound -?[\d.]+ m/s"
     assert re.search(at, claim["remaining"]), claim["remaining"]
-    assert derive == f"surctl gains derive muskrat.toml --cruise 0.25 --margin {margin:g} --out gains.toml"
+    options = f"--cruise 0.25 --margin {margin:g} --barrier inertia --out gains.toml"
+    assert derive == f"surctl gains derive muskrat.toml {options}"
     assert again == f"surctl {words} --json --gains gains.toml"
     assert run(f"{words} --gains default", "--json").json.get("next", []) == []  # no export after a FAIL
     assert run(derive.removeprefix("surctl ")).status == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,9 @@ from surctl.errors import NotApplicable
 from surctl.ir import Layout, Port
 from surctl.lyapunov import Problem, continuous_dynamics, find_stability, sampled_dynamics, solve
 from surctl.lyapunov.equilibrium import require_common
+from surctl.lyapunov.falsified import least_held_level
 from surctl.lyapunov.sampled import SampledStability
-from surctl.system import Action, Controller, Plant, System, find_equilibrium
+from surctl.system import Action, Controller, Plant, System, find_equilibrium, run_system
 from surctl.verification.formula import parse, variable
 
 GALLERY = Path(__file__).parents[2] / "notebooks" / "gallery"
@@ -42,6 +44,18 @@ def test_the_crane_has_a_region_with_a_force_limit_that_acts_in_it(crane: Any) -
     place, law = np.array([0.2, 0.0, 0.0, 0.0]), crane.build().controller
     assert law.step(law.initial_state(), place, law.gains.pack()).tau == [-crane.LIMIT]
     assert solution.value([*place, *law.initial_state()]) < 0.2 * claim.level
+
+
+def test_a_simulated_period_is_that_of_the_system(crane: Any) -> None:
+    system = crane.build()
+    dynamics = sampled_dynamics(system, crane.WITHIN)
+    x = np.array([0.3, -0.2, 0.1, 0.2])
+    run = run_system(system, 4 * system.dt, {f"start.{n}": v for n, v in zip(dynamics.names[:4], x, strict=True)})
+    states = np.hstack([run.signals[name.removeprefix("controller_")] for name in dynamics.names])
+    w = [p.nominal for p in dynamics.parameters]
+    for before, after in pairwise(states):
+        assert np.asarray(dynamics.held(before, w)).ravel() == pytest.approx(after, abs=2e-6)
+        assert np.abs(before - after).max() > 1e-3
 
 
 def cart(law: Any, **ranges: tuple[float, float]) -> System:
@@ -88,6 +102,33 @@ def test_the_law_in_continuous_time_is_named_if_it_is_what_is_proved() -> None:
     assert isinstance(stated.claim, SampledStability)
     assert stated.claim.rate == pytest.approx(0.05 * 0.2)
     assert "by at least 0.01 of its value" in stated.claim.statement
+
+
+def test_how_tight_the_level_of_a_sampled_loop_is() -> None:
+    def decreases(x: Any, mass: float) -> Any:
+        u = np.clip(-4 * x[0] - 3 * x[1], -1, 1) / mass
+        after = np.array([x[0] + 0.2 * x[1] + 0.02 * u, x[1] + 0.2 * u])
+        return value(after) < value(x)
+
+    def value(x: Any) -> Any:
+        return np.asarray(dynamics.compiled(function)(x, [1.0])).ravel()
+
+    function = parse("4*x^2 + 2*x*v + 1.5*v^2", {name: variable(name) for name in "xv"})
+    dynamics = sampled_dynamics(cart(limited, plant_mass=(0.9, 1.1)), {"x": (-1.0, 1.0), "v": (-3.0, 3.0)})
+    least = least_held_level(dynamics, function, 0.0)
+    assert least.cause == "decrease" and set(least.values) == {"x", "v", "plant_mass"}
+    worst = np.array([[least.values["x"]], [least.values["v"]]])
+    assert not decreases(worst, least.values["plant_mass"]) and value(worst) == pytest.approx(least.level)
+    below = np.random.default_rng(1).uniform(*dynamics.box, (40_000, 2)).T
+    below = below[:, value(below) < 0.97 * least.level]
+    assert below.shape[1] > 2_000 and all(decreases(below, mass).all() for mass in (0.9, 1.0, 1.1))
+    # a larger share must be lost; a small box ends the region first
+    assert least_held_level(dynamics, function, 0.1).level < 0.97 * least.level
+    small = least_held_level(sampled_dynamics(cart(limited), {"x": (-0.1, 0.1), "v": (-3.0, 3.0)}), function, 0.0)
+    assert small.cause == "face" and small.level == pytest.approx((4 - 1 / 1.5) * 0.1**2)
+    solution = solve(Problem(dynamics, "lyapunov"), first=True)
+    assert solution.sampled and solution.level is not None and solution.falsified is not None
+    assert 0.3 < solution.level / solution.falsified < 1 and solution.dynamics.sampling is not None
 
 
 def test_a_command_with_the_name_of_a_state_has_another_one() -> None:

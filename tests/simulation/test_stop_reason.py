@@ -53,7 +53,10 @@ def test_a_run_to_the_time_limit_says_where_the_craft_stays_and_what_lint_says()
     run = _stopped("time limit")
     x, y = run.record.eta[-1, :2]
     where = f"the hull has stayed within 0.05 m of ({x:.2f}, {y:.2f}) m since "
-    assert stop_reason(run).startswith(where) and "fins" not in stop_reason(run)
+    assert stop_reason(run).startswith(where) and "fins" not in stop_reason(run) and "ilos" not in stop_reason(run)
+    tide = run.scenario.disturbance.model_copy(update={"current_m_per_s": (0.0, 0.05)})
+    drifting = replace(run, scenario=replace(run.scenario, disturbance=tide))
+    assert stop_reason(drifting).endswith("give --guidance ilos, also to surctl export")
     still = replace(run.record, eta=np.zeros_like(run.record.eta))
     assert stop_reason(replace(run, record=still)) == "the craft did not move"
     torpedo = load_vehicle("remus100")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from surctl.errors import InputError
@@ -18,6 +20,17 @@ def test_a_library_vehicle_has_a_study(name: str) -> None:
         assert plan.law == "steered" and "turning the hull" in plan.unheard
         assert [leg.misfit for leg in plan.legs] == [None] * 3
         assert with_perception(plan, plan.legs[0]).actuators == plan.vehicle.actuators
+
+
+def test_a_study_file_of_a_craft_without_sway_force_simulates_no_sonars_either(tmp_path: Path) -> None:
+    """A study file has no key that would switch the sonars off."""
+    load_plan(vehicle="otter").written(tmp_path)
+    mission = next(tmp_path.glob("*.toml")).name
+    file = tmp_path / "tide.toml"
+    file.write_text(f'kind = "study"\nname = "tide"\nvehicle = "otter"\n[[runs]]\nscenario = "{mission}"\n')
+    plan = load_plan(str(file))
+    assert plan.law == "steered" and "turning the hull" in plan.unheard
+    assert with_perception(plan, plan.deciding[0]).actuators == plan.vehicle.actuators
 
 
 def test_sonar_for_a_craft_without_sway_force_is_refused_with_the_reason() -> None:

@@ -73,13 +73,19 @@ def test_what_is_no_longer_finite_ends_the_run_where_it_happens() -> None:
     assert record.stopped == runs.stopped[0] == "not finite"
     assert 0.3 < runs.time[0] < 2.0 and runs.time[0] == pytest.approx(record.time[-1])
     assert np.isnan(runs["low"][0]) and np.isnan(record.figures["low"]) and np.isfinite(runs.state).all()
-    assert record.lost == f"state x at {record.time[-1] + 0.1:.6g} s" and run_system(system, 0.1).lost == ""
+    where, cause = record.lost.split(", because of ")
+    assert where == f"state x at {record.time[-1] + 0.1:.6g} s" and run_system(system, 0.1).lost == ""
+    assert cause.startswith("sqrt(-0.000") and cause.endswith(") of the plant")
 
 
 @pytest.mark.parametrize(
     ("law", "at", "lost"),
     [
-        (lambda u: [u["q"][0], ca.sqrt(0.35 - u["t"])], lambda t: t, "command u[1] at 0.4 s"),
+        (
+            lambda u: [u["q"][0], ca.sqrt(0.35 - u["t"])],
+            lambda t: t,
+            "command u[1] at 0.4 s, because of sqrt(-0.05) of the law",
+        ),
         (lambda u: [0, 0], lambda t: ca.sqrt(0.35 - t), "input t at 0.4 s"),
         (lambda u: [1e300, 1e300], lambda t: 1.0, "cost square at 0.1 s"),
     ],

@@ -9,7 +9,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
-from surctl.system import Controller, Parts, Plant, System, find_equilibrium, linearise
+from surctl.system import Controller, Parts, Plant, System, find_equilibrium, linearise, run_system
 
 STATES = Layout((Port("pos", (1,), "m", ""), Port("vel", (1,), "m/s", "")))
 FORCE = Layout((Port("f", (1,), "m/s^2", ""),))
@@ -50,10 +50,28 @@ def test_a_smooth_form_and_another_start_help() -> None:
 
 
 def test_what_is_not_finite_itself_is_named_before_what_has_no_derivative() -> None:
+    """The number by which a plant divides, although a square root is at 0 too; also for a run."""
+
     def ode(x: Parts, f: Parts, d: Parts, p: Parts) -> Parts:
         return {"pos": x["vel"], "vel": (f["f"] - ca.sqrt(x["pos"] ** 2)) / p["mass"]}
 
     cart = Plant("cart", STATES, FORCE, ode, parameters=Layout((Port("mass", (1,), "kg", "", 1.0),)))
     push = Controller("push", 0.01, STATES, FORCE, lambda x, u, p: 1 - u["pos"])
-    with pytest.raises(InputError, match="because of 1/0 of the plant"):
+    with pytest.raises(InputError, match=r"because of 1/0 of the plant \(mass = 0\)"):
         linearise(System(cart, push), {"plant.mass": 0.0})
+    record = run_system(System(cart, push), 1.0, {"plant.mass": 0.0})
+    assert record.lost == "state pos at 0.01 s, because of 1/0 of the plant (mass = 0)"
+
+
+@pytest.mark.parametrize("part", ["plant", "law"])
+def test_the_operation_that_ends_a_run_is_named(part: str) -> None:
+    """An operation that a result does not need, or whose operand has grown without bound, is not the cause."""
+    parts = {"plant": nothing, "law": nothing} | {part: lambda a, b: ca.fmin(0, 1 / b) + ca.sqrt(a)}
+    record = run_system(system(**parts), 1.0, {"start.pos": -0.25, "start.vel": 1.0})
+    assert record.stopped == "not finite" and record.lost.endswith(f", because of sqrt(-0.25) of the {part}")
+    unused = {"plant": nothing, "law": nothing} | {part: lambda a, b: ca.if_else(b > 0, 0, 1 / b) + ca.sqrt(a)}
+    record = run_system(system(**unused), 1.0, {"start.pos": -0.25, "start.vel": 1.0})
+    assert record.lost.endswith(f", because of sqrt(-0.25) of the {part}")
+    grown = Controller("grow", 0.01, STATES, FORCE, lambda x, u, p: 1e160 * u["pos"] ** 2)
+    record = run_system(System(system(plant=nothing, law=nothing).plant, grown), 9.0, {"start.pos": 1.0})
+    assert record.stopped == "not finite" and "because" not in record.lost

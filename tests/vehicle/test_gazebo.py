@@ -161,3 +161,13 @@ def test_what_uuv_simulator_adds_is_named(tmp_path: Path) -> None:
     (tmp_path / "robot.urdf").write_text(UUV.replace("</hydrodynamic_model>", more + "</hydrodynamic_model>"))
     note = gazebo_vehicle(tmp_path / "robot.urdf", "auv", **GIVEN).note
     assert note.endswith("not used: linear_damping_forward_speed = -8 0 0 0 0 0")
+
+
+def test_the_mass_of_other_links_is_named_as_not_used(tmp_path: Path) -> None:
+    """A simulator adds the masses of the links of the thrusters; without them, net buoyancy is too large."""
+    links = "".join(f'<link name="t{k}"><inertial><mass value="1.5"/></inertial></link>' for k in range(8))
+    (tmp_path / "model.urdf").write_text(UUV.replace("<gazebo>", f"{links}<gazebo>"))
+    note = gazebo_vehicle(tmp_path / "model.urdf", "rov", **GIVEN).note
+    assert note.endswith("; not used: the mass of the other links, 12 kg")
+    (tmp_path / "model.urdf").write_text(UUV)
+    assert "not used" not in gazebo_vehicle(tmp_path / "model.urdf", "rov", **GIVEN).note

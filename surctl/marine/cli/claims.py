@@ -61,18 +61,18 @@ def library_claims(
     Raises:
         InputError: a claim is unknown, has a mistake or is given twice.
     """
-    if not words:  # where the paper errs concerns its own robot
-        errata = lib.has_tuned(vehicle)
-        every, reasons = ((), {}) if law else lib.applicable_claims(gains, vehicle=vehicle, errata=errata)
-        return list(every), [lib.Inapplicable.of(name, reason) for name, reason in reasons.items()]
+    if law and not words:
+        return [], []
     own = {word: lib.load_claim(Path(word)) for word in words if word.endswith(".toml")}
-    rest, reasons = lib.applicable_claims(gains, [w for w in dict.fromkeys(words) if w not in own], vehicle=vehicle)
+    names = [w for w in dict.fromkeys(words) if w not in own] if words else None
+    errata = lib.has_tuned(vehicle)  # where the paper errs concerns its own robot
+    rest, reasons = lib.applicable_claims(gains, names, vehicle=vehicle, errata=errata)
     if law is not None:
         why = "it follows no path by equations (8)-(12)"
         reasons = {claim.name: NotApplicable(why, to=f"law {law}", key=claim.name) for claim in rest} | dict(reasons)
         rest = ()
     known = {claim.name: claim for claim in rest}
-    chosen = [own[w] if w in own else known[w] for w in words if w not in reasons]
+    chosen = [own[w] if w in own else known[w] for w in words or known if w not in reasons]
     check_once((c.name for c in chosen), "is given twice", key="claim", remedy="rename or drop one of them")
     return chosen, [lib.Inapplicable.of(name, reason) for name, reason in reasons.items()]
 

@@ -18,21 +18,13 @@ from surctl.errors import InputError
 from surctl.marine.cli import lib
 from surctl.marine.cli.robot_options import (
     MISSION,
-    RobotOptions,
-    check_barrier,
+    ExportedRobot,
     choose_gains,
     choose_law,
     choose_sensing,
     choose_vehicle,
 )
 from surctl.marine.cli.sensor_options import SensorOptions, sensor_data, split_faults
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class _Robot(RobotOptions):
-    sensing: str | None = option(
-        "--sensing", "Obstacles: sonar (default if the law allows it) or truth.", metavar="NAME"
-    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,11 +45,11 @@ class _Mission:
 
 @click.command
 @click.argument("words", nargs=-1, metavar="")
-@options(robot=_Robot, sensors=SensorOptions, ship=_Mission, only={"sensors": ("faults", "chances")})
+@options(robot=ExportedRobot, sensors=SensorOptions, ship=_Mission, only={"sensors": ("faults", "chances")})
 @collected(options=ExportOptions)
 def export(
     words: tuple[str, ...],
-    robot: RobotOptions,
+    robot: ExportedRobot,
     sensors: SensorOptions,
     ship: _Mission,
     options: ExportOptions,
@@ -87,7 +79,6 @@ def export(
     constant_gains, certificates, seed = ship.constant_gains, ship.certificates, ship.seed
     choice = choose_vehicle(robot.vehicle, (mission.name, mission.vehicle))
     vehicle = lib.load_vehicle(choice.word)
-    check_barrier(robot.barrier, robot.movers)
     law, why = choose_law(robot.law, [vehicle])
     sensing = choose_sensing(robot.sensing, law)
     click.get_current_context().params["sensing"] = sensing
@@ -155,7 +146,7 @@ def _how_to_start(out: Path, context: click.Context) -> tuple[str, str]:
     words = [context.params["scenario"]]
     options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
     named = {parameter.name for parameter in typed()}
-    for name in (*(one.name for one in fields(RobotOptions)), "faults", "chances", "seed"):
+    for name in (*(one.name for one in fields(ExportedRobot)), "faults", "chances", "seed"):
         setting = context.params[name]
         if setting != "truth" if name == "sensing" else name in named:  # simulate has another default for --sensing
             values = setting if isinstance(setting, tuple) else (setting,)

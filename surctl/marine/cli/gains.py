@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import replace
+from functools import partial
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
 import click
 
 from surctl.cli.new import write_new
-from surctl.cli.options import FILE, FiniteRange
+from surctl.cli.options import FILE, FiniteRange, changed, options
 from surctl.cli.output import as_json, finish
 from surctl.errors import InputError
 from surctl.marine.cli import lib
-from surctl.marine.cli.robot_options import derive_words, margin_short
+from surctl.marine.cli.robot_options import RobotOptions, derive_words, margin_short
 
 _SPEED = FiniteRange(min=0, max=100, min_open=True)
 
@@ -36,13 +38,14 @@ def gains() -> None:
     "--margin",
     type=FiniteRange(min=0),
     metavar="D",
-    help="Gain `margin`, distance to keep [m]; judged for --barrier simple (default: 0.2 hull radii, at least 0.05).",
+    help="Gain `margin`, distance to keep [m] (default: 0.2 hull radii, at least 0.05).",
 )
+@options(only={"robot": ("barrier",)}, robot=RobotOptions)
 @click.option("--out", type=FILE, help="Gain file to write (default: none).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @as_json
 def derive(
-    vehicle: str, cruise: float | None, margin: float | None, out: Path | None, force: bool, as_json: bool
+    robot: RobotOptions, cruise: float | None, margin: float | None, out: Path | None, force: bool, as_json: bool
 ) -> None:
     """Derive gains for a vehicle, and print the stability margins.
 
@@ -52,34 +55,37 @@ def derive(
 
     Examples: surctl gains derive bluerov2-wu; surctl gains derive rov.toml --cruise 0.3 --out gains.toml
     """
-    robot = lib.load_vehicle(vehicle)
+    vehicle = str(robot.vehicle)  # the argument
+    craft = lib.load_vehicle(vehicle)
     try:
-        derivation = lib.derive_gains(robot, cruise=lib.default_cruise(robot) if cruise is None else cruise)
+        derivation = lib.derive_gains(craft, cruise=lib.default_cruise(craft) if cruise is None else cruise)
     except InputError as error:
         raise error.inside(vehicle, "--cruise" if error.key == "cruise" else None) from None
     if margin is not None:
         gains, provenance = derivation.gains, f"{derivation.gains.provenance}; margin {margin:g} m as stated"
         derivation = replace(derivation, gains=gains.with_values({"margin": margin}, provenance=provenance))
-    contact = _contact(robot, derivation)
+    contact = _contact(craft, derivation, robot.barrier)
     short = margin_short(contact)
     lines = derivation.lines()
     if isinstance(contact, lib.SafetyClaim) and not contact.holds:
         at = f"at up to {contact['speed cap']:.3g} m/s in still water (true positions, barrier {contact.barrier})"
         lines.append(f"  the claim of no contact fails {at}: {contact.shortfall}")
-    if derivation.reached and (slow := _slow(robot, derivation)) is not None and slow.short:
+    if derivation.reached and (slow := _slow(craft, derivation)) is not None and slow.short:
         lines.append(f"  {slow.sentence}")
     brief = [line.strip() for line in lines if not line.startswith("  ") or "no contact" in line or "below" in line]
     lines += [f"  {name:<10} {value:8.4g} {derivation.gains.specs[name].unit}" for name, value in derivation.shown()]
-    then, better = [], "gains.toml" if out is None else str(out)
+    then, file = [], str(out or "gains.toml")
+    better = partial(derive_words, vehicle, file=file, barrier=robot.barrier, force=out is not None)
     if not derivation.reached and derivation.bearable > 0:
-        then.append(derive_words(vehicle, derivation.bearable, better, force=out is not None))
+        then.append(better(derivation.bearable))
     elif isfinite(short):
-        then.append(derive_words(vehicle, derivation.cruise, better, margin=short, force=out is not None))
+        then.append(better(derivation.cruise, margin=short))
     if out is not None:
         target = write_new(out, lib.write_gains(derivation.gains, warning=derivation.warning), force=force)
         lines.append(f"wrote {target}")
-        words = ["surctl", "verify", "--vehicle", vehicle, "--gains", str(target)]
-        then.append(shlex.join([*words, "--cruise", f"{derivation.cruise:g}"]))
+        chosen = [word for option in changed(robot).items() for word in option]
+        words = ["surctl", "verify", *chosen, "--gains", str(target), "--cruise", f"{derivation.cruise:g}"]
+        then.append(shlex.join(words))
     data = derivation.to_dict() | {"file": None if out is None else str(out)}
     finish(
         data, lines, as_json=as_json, passed=derivation.reached, then=then, brief=brief,
@@ -95,12 +101,10 @@ def _slow(vehicle: lib.Vehicle, derivation: lib.Derivation) -> lib.OverSpeeds | 
     return lib.slow_margins(vehicle, derivation.gains.values, cruise=derivation.cruise, dt=derivation.dt, law=law)
 
 
-def _contact(vehicle: lib.Vehicle, derivation: lib.Derivation) -> lib.SafetyClaim | lib.Inapplicable | None:
+def _contact(vehicle: lib.Vehicle, derived: lib.Derivation, barrier: Any) -> lib.SafetyClaim | lib.Inapplicable | None:
     """Return the no-contact claim of the gains on a straight path in still water; None if it is not about the law."""
     if lib.BARRIER not in lib.law_source(lib.default_law(vehicle)).parts:
         return None
-    speeds = {
-        "cruise": derivation.cruise,
-        "size": lib.mission_size(vehicle, derivation.gains, cruise=derivation.cruise),
-    }
-    return lib.judged_contact(lib.straight_mission(vehicle, **speeds), vehicle, derivation.gains, sonar=False)
+    size = lib.mission_size(vehicle, derived.gains, cruise=derived.cruise)
+    mission = lib.straight_mission(vehicle, cruise=derived.cruise, size=size)
+    return lib.judged_contact(mission, vehicle, derived.gains, sonar=False, barrier=barrier)

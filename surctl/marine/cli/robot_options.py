@@ -102,14 +102,15 @@ def choose_shared(
 
 
 def derive_words(
-    vehicle: str, cruise: float, file: str, *, margin: float = math.nan, force: bool = False
+    vehicle: str, cruise: float, file: str, *, margin: float = math.nan, barrier: str = "simple", force: bool = False
 ) -> str:  # fmt: skip
     """Return the command that writes the derived gains of a vehicle to a file, if finite with this gain `margin`.
 
-    With `force`, the command replaces the file.
+    The command judges the claim of no contact with `barrier`; with `force`, it replaces the file.
     """
     words = ["surctl", "gains", "derive", vehicle, "--cruise", f"{cruise:g}"]
     words += ["--margin", f"{margin:g}"] if math.isfinite(margin) else []
+    words += ["--barrier", barrier] if barrier != "simple" else []
     return shlex.join([*words, "--out", file, *(["--force"] if force else [])])
 
 
@@ -186,12 +187,6 @@ TRUST = "Permit running the Python law of a study or saved run."
 """Help of the option `--trust`."""
 
 
-def check_barrier(barrier: str, movers: str) -> None:
-    """Raise InputError if one of the options has an unknown value."""
-    for key, value, known in (("barrier", barrier, lib.BARRIER_NAMES), ("movers", movers, lib.MOVERS)):
-        check_known(value, known, key=key)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class RobotOptions:
     """The options that select the robot and its law; those that a command does not have keep their defaults.
@@ -236,11 +231,25 @@ class RobotOptions:
         "--movers", "Moving obstacles: predict (default), barrier (brakes only).", "predict", metavar="NAME"
     )
 
+    def __post_init__(self) -> None:
+        """Raise InputError if one of the options has an unknown value."""
+        for key, value, known in (("barrier", self.barrier, lib.BARRIER_NAMES), ("movers", self.movers, lib.MOVERS)):
+            check_known(value, known, key=key)
+
     def case(self, law: str, scenario: lib.Scenario, vehicle: lib.Vehicle, gains: lib.Gains) -> lib.Case:
         """Return the case of a scenario with a vehicle, gains and a law."""
         kind: dict[str, Any] = {"mode": self.priority_mode, "sensing": self.sensing or "truth"}
         kind |= {name: getattr(self, name) for name in ("avoidance", "guidance", "barrier", "movers")}
         return lib.Case(scenario, vehicle, gains, law, **kind)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExportedRobot(RobotOptions):
+    """The same with sonars by default, if the law can use them."""
+
+    sensing: str | None = option(
+        "--sensing", "Obstacles: sonar (default if the law allows it) or truth.", metavar="NAME"
+    )
 
 
 class Speeds(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.4 only

@@ -11,7 +11,7 @@ from typing import Any
 
 from surctl.cli.options import FILE, changed, option
 from surctl.cli.output import doing, progress, saving
-from surctl.errors import InputError
+from surctl.errors import InputError, mistakes_in
 from surctl.marine.cli import lib
 
 
@@ -84,11 +84,9 @@ class PlantOptions:
     def fit(self, options: lib.EngineOptions | None, vehicles: Iterable[lib.Vehicle]) -> None:
         """Raise InputError if the options do not fit one of the vehicles."""
         for vehicle in vehicles if options is not None else ():
-            try:
+            with mistakes_in(None, "--plant mujoco:"):
                 assert options is not None
                 options.of(vehicle)
-            except InputError as error:
-                raise error.inside(None, f"--plant mujoco:{error.key}") from None
 
     def runs(
         self,

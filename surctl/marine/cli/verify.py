@@ -21,8 +21,7 @@ from surctl.marine.cli.linear_part import LinearPart, linear_part, over_speeds, 
 from surctl.marine.cli.robot_options import (
     MISSION,
     SPEEDS,
-    RobotOptions,
-    check_barrier,
+    ExportedRobot,
     choose_gains,
     choose_law,
     choose_sensing,
@@ -43,14 +42,11 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Robot(RobotOptions):
+class _Robot(ExportedRobot):
     vehicle: str | None = option(
         "--vehicle", "Vehicle (default: that of --scenario, else sur540-flooded).", metavar="FILE"
     )
     law: str | None = option("--law", "Law or FILE.py:FUNCTION (default guarded; no sway: steered).", metavar="NAME")
-    sensing: str | None = option(
-        "--sensing", "Obstacles: sonar (default if the law allows it) or truth.", metavar="NAME"
-    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,7 +80,7 @@ _OF_ROBOT = ("vehicle", "gains", "law", "sensing", "barrier", "movers")
 @options(robot=_Robot, stated=_Stated, only={"robot": _OF_ROBOT})
 def verify(
     words: tuple[str, ...],
-    robot: RobotOptions,
+    robot: ExportedRobot,
     stated: _Stated,
     seed: int,
     time_limit: float | None,
@@ -138,7 +134,6 @@ def verify(
     if out is not None:
         prepare_out(out)
     claims.require_own_speeds(regions, fastest, cap)
-    check_barrier(robot.barrier, robot.movers)
     scenarios = () if mission is None else (replace(mission, cruise=speeds[0], cap=speeds[1]),)
     judging: dict[str, Any] = {"barrier": robot.barrier, "movers": robot.movers, "sensing": sensed}
     judging |= {"uncertainty": uncertainty or None, "scenarios": scenarios}
@@ -205,9 +200,10 @@ def verify(
     if linear.short and cascaded:  # gains that have the margins at this speed, or else at a lower one
         derived = lib.derive_gains(vehicle, cruise=speeds[0])
         reached = speeds[0] if derived.reached else derived.bearable
-        then[:0] = [derive_words(word, reached, _GAIN_FILE)] if reached > 0 else []
+        then[:0] = [derive_words(word, reached, _GAIN_FILE, barrier=robot.barrier)] if reached > 0 else []
     elif tuned.derived and (larger := list(filter(math.isfinite, larger))):
-        then[:0] = [derive_words(word, speeds[0], _GAIN_FILE, margin=max(larger)), same_command(gains=_GAIN_FILE)]
+        derive = derive_words(word, speeds[0], _GAIN_FILE, margin=max(larger), barrier=robot.barrier)
+        then[:0] = [derive, same_command(gains=_GAIN_FILE)]
     if instead:
         again = ["surctl", "verify", instead, *("--vehicle", word), *(("--gains", gains) if gains else ())]
         then.insert(0, shlex.join([*again, "--cruise", f"{speeds[0]:g}", "--cap", f"{speeds[1]:g}"]))
@@ -257,7 +253,8 @@ def _after(
         scenario, choice.word, tuned.gains, certificates if cascaded else (), file=file, law=mission.law_ref,
         form=mission, sensing=mission.sensed if cascaded else "truth",
     )  # fmt: skip
-    return [*([derive_words(choice.word, linear.cruise, file)] if tuned.derived else []), *exported]
+    derive = derive_words(choice.word, linear.cruise, file, barrier=mission.barrier)
+    return [*([derive] if tuned.derived else []), *exported]
 
 
 def _is_claim_file(word: str) -> bool:

@@ -15,7 +15,7 @@ from typing import Any, cast, get_args
 
 import casadi as ca
 
-from surctl.errors import InputError, SurctlError, check_known
+from surctl.errors import InputError, SurctlError, check_known, mistakes_in
 from surctl.ir import Block, Call, Layout, Real, Recording, Routine, fold, tabulated, without_libm
 from surctl.ir.c99 import rearranged
 from surctl.ir.cache import cached_bytes, source_digest
@@ -332,12 +332,10 @@ def _cached_law(chosen: _Configuration) -> Law:
     A law of the user's own is built again in every process, because the modules that its file imports may have changed.
     """
     if is_own(chosen.law):
-        try:
+        with mistakes_in(own_file(chosen.law)):
             own = _built(chosen)
             _ = own.stages.pre  # the limit rows of the user's law are checked too, in every mode
             return own
-        except InputError as error:
-            raise (error if error.file else error.inside(own_file(chosen.law))) from None
     try:
         sources = source_digest(*LAW_SOURCES)
     except SurctlError:  # the source code is missing or changed since the import, so it cannot identify a cached law

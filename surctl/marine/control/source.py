@@ -158,10 +158,8 @@ def _check_words(key: str, words: object, known: Collection[str], name: str) -> 
 
 
 def _check_port(name: str, unit: str, *, where: str, reserved: frozenset[str]) -> None:
-    try:
+    with mistakes_in(None, where):
         identifier(name)
-    except InputError as error:
-        raise InputError(error.problem, key=where, value=name, remedy=error.remedy) from None
     if name in reserved:
         raise InputError("is a gain, state or input of every law", key=where, value=name, remedy="choose another name")
     if not unit.strip():

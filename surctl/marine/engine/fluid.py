@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, mistakes_in, nearest
 from surctl.files import Strict, validate
 from surctl.ir import Program, lower_named
 from surctl.marine.vehicle import GRAVITY, WATER, Actuators, PlantForm, Vehicle, plant_layout, plant_parameters
@@ -154,10 +154,8 @@ def parse_plant(text: str) -> EngineOptions | None:
         if key in values:
             raise InputError("is there twice", key=f"--plant mujoco:{key}", value=value, remedy="write it once")
         values[key] = value
-    try:
+    with mistakes_in(None, "--plant mujoco:"):
         return validate(values, EngineOptions, file=None)
-    except InputError as error:
-        raise error.inside(None, f"--plant mujoco:{error.key or ''}".rstrip(":")) from None
 
 
 _GAUSS = ((-sqrt(0.15), 5 / 18), (0.0, 8 / 18), (sqrt(0.15), 5 / 18))  # places and weights on (-1/2, 1/2)

@@ -286,7 +286,7 @@ class LinkedLaw:
             self.identity = law_id(self.shipped, self.gains, real=self.real)
             if who.id != self.identity:
                 problem = f"runs controller {who.id[:12]} in {who.real}, but these options give {self.identity[:12]}"
-                remedy = "export it with the same scenario, vehicle, gains, law, sensing and --real"
+                remedy = "export it with the same scenario, vehicle, gains and options (--law, --guidance, --barrier …)"
                 raise InputError(problem, key="controller", value=self.line.name, remedy=remedy)
             self.line.start(self.identity)
         except LineDown as reason:

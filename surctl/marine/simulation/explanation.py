@@ -85,6 +85,7 @@ _LEAST = 20.0  # [s] shortest rest at the end of a run that is said (*chosen*)
 _NEAR = 4.0  # hull radii within which a drifting hull makes no way (*chosen*)
 _TOUCH = 0.01  # [m] distance to the hull that counts as touching it
 _NO_STEERAGE = "its rudders or fins do not turn it at rest"
+_UNLEARNT = "guidance los does not learn the current: give --guidance ilos, also to surctl export"
 
 
 def failure(run: Run) -> str | None:
@@ -159,6 +160,8 @@ def _time_limit_reason(run: Run) -> str:
         )
         if vehicle.fin_share(run.scenario.cruise) > 0.5:
             said.append(_NO_STEERAGE)
+        elif run.law.guidance == "los" and any(run.scenario.disturbance.current_m_per_s):
+            said.append(_UNLEARNT)
     elif search := _search_reason(run):
         said.append(search)
     errors = [f for f in findings(run.scenario, vehicle, gains=run.gains) if f.level == "error"]

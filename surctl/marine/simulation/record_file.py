@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, cannot_write, check_known
+from surctl.errors import InputError, check_known, writing
 from surctl.files import file_name, write_file
 from surctl.marine.simulation.run import Run
 from surctl.marine.simulation.scenario import Scenario
@@ -204,7 +204,7 @@ def save_scene(run: Run, folder: Path) -> Path:
     part = path.with_suffix(".part.mcap")
     sonar = run.telemetry("ranges") if run.law.perception is not None else None
     shown = [port.name for port in run.law.outputs if port.size == 1 and port.name != "tau"]
-    try:
+    with writing(path):
         with McapFile(part) as file:
             scene = SceneFile(file, run.scenario, run.vehicle)
             for k, time in enumerate(record.time.tolist()):
@@ -225,8 +225,6 @@ def save_scene(run: Run, folder: Path) -> Path:
             end = f"{run.scenario.name} by {run.vehicle.name}, seed {run.seed}: {run.metrics.stopped_because}"
             scene.text(float(record.time[-1]), end, warning=not run.metrics.reached)
         part.replace(path)
-    except OSError as error:
-        raise cannot_write(path, error) from None
     write_layout(folder, sonars=0 if sonar is None else sonar.shape[1])
     return path
 

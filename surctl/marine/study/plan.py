@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from surctl.errors import InputError
+from surctl.errors import InputError, mistakes_in
 from surctl.files import Strict, file_name, pick, read_toml, validate, write_file
 from surctl.marine.control import SONARLESS, Gains, check_forces, default_law, law_ref, law_source, load_gains
 from surctl.marine.guidance import Guidance
@@ -324,9 +324,6 @@ def _about_vehicle(vehicle: Vehicle, word: str) -> Plan:
         )
     missions, gains, derivation = scaled_missions(vehicle)
     law = default_law(vehicle)
-    why = "the missions are scaled to the vehicle, but sonars are not"
-    if "sonar" not in law_source(law).sensing:
-        why = f"law {law} takes obstacle positions: {SONARLESS}"
     plan = Plan(
         name,
         f"The missions are scaled to {vehicle.name}, because it does not fit the built-in scenarios.",
@@ -344,9 +341,16 @@ def _about_vehicle(vehicle: Vehicle, word: str) -> Plan:
         (),
         False,
         derivation,
-        why,
+        _unheard(law) or "the missions are scaled to the vehicle, but sonars are not",
     )
     return _with_mission(plan)
+
+
+def _unheard(law: str) -> str:
+    # why a study with this law simulates no sonars; empty if the law can use them
+    source = law_source(law)
+    why = "" if source.steering is None else f": {SONARLESS}"
+    return "" if "sonar" in source.sensing else f"law {law} takes obstacle positions{why}"
 
 
 def _needs_own(vehicle: Vehicle, legs: Sequence[Leg]) -> bool:
@@ -366,10 +370,8 @@ def _built_in() -> _StudyFile:
 def _own_goals(study: _StudyFile, path: Path, named: str | None) -> tuple[Goal, ...]:
     if named is None:
         return goals_from_tables(study.goals, file=path) if study.goals else load_goals()
-    try:
+    with mistakes_in(path):
         return load_goals(named)
-    except InputError as error:
-        raise (error if error.file else error.inside(path)) from None
 
 
 def _plan(
@@ -383,23 +385,19 @@ def _plan(
     legs = []
     for run in study.runs:
         leg_vehicle = vehicle if run.vehicle is None else load_vehicle(near(run.vehicle))
-        try:
+        with mistakes_in(path):
             legs.append(_leg(run.mission(near), leg_vehicle, lenient=lenient))
-        except InputError as error:
-            raise (error if error.file else error.inside(path)) from None
     vehicles = [leg.vehicle for leg in legs] or [vehicle]
     law = default_law(vehicles[0]) if study.law is None else study.law
     law = law_ref(law, file=path, folder=path.parent, trust=trust)
     named = None if study.gains is None else near(study.gains)
     gains, derivation = shared_gains(named, _about(legs), own=law_source(law).gains)
-    try:
+    with mistakes_in(path):
         for robot in vehicles:
             check_forces(law, robot)
         axes = _axes(study, gains, scaled=lenient and derivation is not None)
         gains = _stated(gains, axes)
         applicable_claims(gains.values, study.claims, vehicle=vehicle)
-    except InputError as error:
-        raise error.inside(path) from None
     plan = Plan(
         study.name,
         study.note,
@@ -417,12 +415,11 @@ def _plan(
         (),
         named is not None,
         derivation,
+        _unheard(law),
     )
     plan = _with_mission(plan)
-    try:
+    with mistakes_in(path):
         return plan if study.cruise_m_per_s is None else plan.at_speeds(study.cruise_m_per_s, key=_CRUISE)
-    except InputError as error:
-        raise error.inside(path) from None
 
 
 def _with_mission(plan: Plan) -> Plan:

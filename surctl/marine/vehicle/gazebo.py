@@ -152,6 +152,8 @@ def _bodies(root: ElementTree.Element, path: Path) -> dict[str, _Body]:
             body.inertia_z = _of(held_in, "inertial/inertia/izz", "", path)
             if body.inertia_z is None:
                 body.inertia_z = _of(held_in, "inertial/inertia", "izz", path)
+            others = [_of(one, "inertial/mass", "value", path) or 0.0 for one in links.values() if one is not held_in]
+            body.unused += [f"the mass of the other links, {sum(others):g} kg"] if any(others) else []
     return bodies
 
 

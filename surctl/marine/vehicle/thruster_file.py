@@ -78,10 +78,8 @@ def read_actuators(thrusters: Sequence[Any], allocation: Mapping[str, Any] | Non
         raise InputError(f"has more than {_MOST} entries", file=source, key="thruster", value=len(tables.thruster))
     read: list[Thruster] = []
     for k, table in enumerate(tables.thruster):
-        try:
+        with mistakes_in(source, f"thruster.{k}."):
             read.append(_thruster(table, names=[one.name for one in read]))
-        except InputError as error:
-            raise error.inside(source, f"thruster.{k}.{error.key}") from None
     order = DEFAULT_ORDER if tables.allocation is None else tables.allocation.order
     with mistakes_in(source, "allocation.order"):
         _check_order(order)

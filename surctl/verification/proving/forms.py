@@ -16,8 +16,9 @@ from surctl.certcheck.derivative import branched, branches_of
 from surctl.sos.polynomial import Monomial, Polynomial
 from surctl.verification.claim import Claim
 from surctl.verification.formula import Node, Statement, from_casadi, number, ordered, power, reread, substitute
+from surctl.verification.formula.node import nodes_of, table_of
 from surctl.verification.proving.algebra import Algebra, Ratio, TooLarge, Written
-from surctl.verification.proving.tape import build_tape, nodes_of, table_of
+from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.touching import touching_form
 
 # Claims as exact expressions, split into cases: in a case, every min, max, abs and select takes one branch

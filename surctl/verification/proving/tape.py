@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from surctl.certcheck.arrays import Ends
-from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.jets import Functions
 from surctl.certcheck.jets import Tape as Evaluator
-from surctl.verification.formula import Node, ordered, text_of, variable
+from surctl.verification.formula import Node, ordered, text_of
+from surctl.verification.formula.node import table_of
 from surctl.verification.proving.functions import LARGEST_EXPONENT, quick_functions
 
 
@@ -55,24 +55,6 @@ def build_tape(names: Sequence[str], roots: Sequence[Node]) -> Tape:
     """Return the instruction list of several expressions; shared subexpressions are computed only once."""
     table, places = table_of(names, roots)
     return Tape(table, tuple(places), names=tuple(names), expressions=tuple(roots))
-
-
-def table_of(names: Sequence[str], roots: Sequence[Node]) -> tuple[ExpressionTable, list[int]]:
-    """Return a table of the operations of several expressions, and the positions of the expressions."""
-    table, at, place = ExpressionTable(names), dict[Node, int](), {name: k for k, name in enumerate(names)}
-    for node in ordered(*roots):
-        value = place[node.name] if node.op == "var" else node.value
-        at[node] = table.put(node.op, *(at[a] for a in node.args), value=value)
-    return table, [at[root] for root in roots]
-
-
-def nodes_of(table: ExpressionTable) -> list[Node]:
-    """Return the expression at each position of a table."""
-    nodes: list[Node] = []
-    for op, args, value in table.entries:
-        own = variable(table.names[value.numerator]) if op == "var" else Node(op, tuple(nodes[a] for a in args), value)
-        nodes.append(own)
-    return nodes
 
 
 _TROUBLES = {

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from surctl import __version__
-from surctl.errors import InputError, cannot_write
+from surctl.errors import InputError, mistakes_in, writing
 from surctl.files import Strict, file_name, prepare_folder, read_toml, validate, write_file
 from surctl.marine.control import Barrier, Gains, Law, Movers, law_options, law_ref, law_source, load_gains
 from surctl.marine.guidance import AvoidanceForm, Guidance
@@ -158,10 +158,8 @@ def load_replay(path: Path | str, *, trust: bool = False) -> Replay:
 
 def _in_file(path: Path, key: str, load: Callable[..., T], table: Mapping[str, Any]) -> T:
     # errors name the key from the beginning of the file, which holds the table under `key`
-    try:
+    with mistakes_in(path, f"{key}."):
         return load(table, source=str(path))
-    except InputError as error:
-        raise error.inside(path, f"{key}.{error.key}" if error.key else key) from None
 
 
 def _gains(table: _GainTable, law: str, path: Path) -> Gains:
@@ -307,10 +305,8 @@ class CampaignFolder:
         name, files = file_name(campaign.plan.name), self.path / "worst"
         write_csv(self.path / f"{name}.csv", campaign.table.columns())
         for old in files.glob(f"{name}-worst-*.toml"):
-            try:
+            with writing(old, **RESUME):
                 old.unlink()
-            except OSError as error:
-                raise cannot_write(old, error, **RESUME) from None
         replays = campaign.worst(worst)
         return [write_file(files / f"{name}-worst-{k}.toml", one.to_toml()) for k, one in enumerate(replays, start=1)]
 

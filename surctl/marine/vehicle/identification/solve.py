@@ -180,5 +180,5 @@ def simulable(model: Model, theta: Array, noise: Array, sections: tuple[LogSecti
         for candidate in (tried, model.begin(sections)) if share == 0.0 else (tried,):
             if np.isfinite(model.cost(candidate, noise, sections)):
                 return candidate
-    remedy = "check units and signs of thrust and motion (x forward, y left, z up, psi counter-clockwise)"
+    remedy = "check the units (angles in rad) and the axes of thrust and motion: enu (x forward, y left, z up) or ned"
     raise InputError("no simulated motion fits the log", file=model.log.source, remedy=remedy)

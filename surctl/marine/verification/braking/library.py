@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import ceil, sqrt
+from pathlib import Path
 from typing import Literal
 
 from surctl.certcheck.braking_claim import GuardedLaw
 from surctl.errors import InputError, NotApplicable, nearest
+from surctl.files import read_toml
 from surctl.marine.control import Barrier, Gains, build_law
 from surctl.marine.guidance.braking import LEAST_THRUST, Brakes, Watch, brakes_of
 from surctl.marine.vehicle import Vehicle, steady_speed
@@ -41,7 +43,7 @@ class BrakingStatement:
     """
 
     statement: str
-    barrier: Barrier | None
+    barrier: Barrier | None = None
     wide: bool = False
     drag: Literal["along", "axes"] = "along"
     sideways: float = 0.22
@@ -155,35 +157,8 @@ def _rows(cap: float) -> tuple[float, ...]:
 
 
 BRAKING_CLAIMS: Mapping[str, BrakingStatement] = {
-    "braking-rule-20": BrakingStatement(
-        "rule that brakes unless the range needed is available: table of ranges, parameters ±20 %, sensor errors",
-        None, sideways=0.0,
-    ),
-    "braking-rule-ranges": BrakingStatement(
-        "as braking-rule-20, over the ranges of the vehicle file", None, wide=True, sideways=0.0
-    ),
-    "braking-rule-20-plane": BrakingStatement(
-        "as braking-rule-20, with a speed of up to 0.1 m/s across the direction of braking", None, sideways=0.1
-    ),
-    "braking-inertia-20": BrakingStatement(
-        "law guarded, barrier inertia: no contact with obstacles at rest, parameters ±20 %, spin, any sideways speed",
-        "inertia", spins=True,
-    ),
-    "braking-inertia-ranges": BrakingStatement(
-        "as braking-inertia-20, over the ranges of the vehicle file", "inertia", wide=True, spins=True
-    ),
-    "braking-inertia-20-axes": BrakingStatement(
-        "as braking-inertia-20, with drag and thrust limits axis by axis and up to 0.05 m/s sideways",
-        "inertia", drag="axes", sideways=0.05, spins=True,
-    ),
-    "braking-inertia-20-movers": BrakingStatement(
-        "law guarded, barrier on moving obstacles that approach at 0.05 m/s, parameters ±20 %, up to 0.1 m/s sideways",
-        "inertia", obstacle=0.05, sideways=0.1,
-    ),
-    "braking-simple-20": BrakingStatement(
-        "as braking-inertia-20, with the barrier simple, while the robot does not spin", "simple"
-    ),
-}  # fmt: skip
+    name: BrakingStatement(**entries) for name, entries in read_toml(Path(__file__).with_name("library.toml")).items()
+}
 
 
 def braking_claim_named(name: str, vehicle: Vehicle, gains: Gains, *, cap: float = _CAP) -> BrakingClaim:

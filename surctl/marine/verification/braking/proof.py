@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surctl.certcheck import Rejected, check_document, seal
 from surctl.certcheck import braking_claim as checker
 from surctl.certcheck.braking import Distance, disturbance, drag_ranges, left_at, upper
-from surctl.certcheck.motion import Obligation
+from surctl.certcheck.inequality import Obligation
 from surctl.lyapunov.near import point_text
 from surctl.marine.control.gains import setting
 from surctl.marine.guidance.braking import LEAST_THRUST
