@@ -35,7 +35,8 @@ class _SystemStudy(StudyParts):
 
     def __init__(self, own: OwnSystem, seconds: float | None, out: Path, workers: int) -> None:
         axes = stated = [word for word in own.settings if ".." in word and word.partition("..")[2].count(":")]
-        others, region, uncertain = region_words([word for word in own.settings if word not in stated], own.system)
+        self.judged = [word for word in own.settings if word not in stated]
+        others, region, uncertain = region_words(self.judged, own.system)
         self.own, self.duration, self.values = own, own.seconds(seconds), assigned(others)
         axes = axes or own.default_axes(self.values)[:_AXES]
         self.problem = None if region is None else region.problem(own.system, self.values)
@@ -45,7 +46,7 @@ class _SystemStudy(StudyParts):
         time = ("--seconds", f"{self.duration:g}")
         self.commands = {
             "run": own.command("simulate", *others, *time, "--out", "run"),
-            "verify": own.command("verify", *[w for w in own.settings if w not in stated], "--out", "proofs"),
+            "verify": own.command("verify", *self.judged, "--out", "proofs"),
             "sweep": own.command("sweep", *axes, *self.about, *time),
         }
         command = own.command("study", *own.settings, *time, "--out", str(out))
@@ -139,7 +140,7 @@ class _SystemStudy(StudyParts):
         at = next((row["at"] for row in self.best.values() if row["accepted"]), None)
         if at is None:
             return [self.commands["run"]]
-        return [self.own.command("verify", *self.about, *(f"{name}={value!r}" for name, value in at.items()))]
+        return [self.own.command("verify", *self.judged, *(f"{name}={value!r}" for name, value in at.items()))]
 
 
 def study_of(words: Sequence[str], *, seconds: float | None, workers: int, out: Path) -> _SystemStudy:

@@ -318,13 +318,14 @@ class Dynamics:
 
     def rests(self) -> bool:
         """Return whether no state moves at the equilibrium, up to rounding and relative to its rates, for any w."""
+        residual = self.residual()  # also refuses dynamics that are not defined there
         corners = self.corners()
         w = np.repeat(corners, _DRAWS, axis=1)
         unit = np.tile(np.random.default_rng(0).uniform(-1, 1, (len(self.states), _DRAWS)), corners.shape[1])
         rest = self.equilibrium[:, None]
         moved = self.evaluate(rest * (1 + _ULPS * np.finfo(float).eps * unit), w)
         rounding = np.abs(moved - self.evaluate(np.repeat(rest, w.shape[1], axis=1), w)).max(axis=1)
-        return bool(np.all(self.residual() <= np.maximum(_REST * self.size(), rounding)))
+        return bool(np.all(residual <= np.maximum(_REST * self.size(), rounding)))
 
     def residual(self) -> Array:
         """Return the largest |f(x*, w)|, or |f(x*, w) − x*| in discrete time, of each state (n,) over the corners of w.

@@ -198,7 +198,8 @@ def require_common(dynamics: Dynamics) -> None:
     d = dynamics
     for s in d.states:
         if not s.lower < s.equilibrium < s.upper:
-            because = f"it rests at {s.name} = {s.equilibrium:.6g} {s.unit}, not in [{s.lower:g}, {s.upper:g}] {s.unit}"
+            where = "with middle parameters, it rests" if d.parameters else "it rests"
+            because = f"{where} at {s.name} = {s.equilibrium:.6g} {s.unit}, not in [{s.lower:g}, {s.upper:g}] {s.unit}"
             raise NotApplicable(because, to="the loop", key=f"within.{s.name}")
     if not d.shifts and not d.rests():
         moving, words = held_parameters(d)
