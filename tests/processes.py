@@ -32,6 +32,8 @@ ROOT = Path(__file__).parents[1]
 LOADED = (
     *("control", "matplotlib.figure", "osqp", "qpsolvers", "scipy.optimize", "scipy.stats.qmc", "xarray"),
     *("dask.array", "surctl.cli", "surctl.lyapunov", "surctl.report", "surctl.marine.study", "surctl.verification"),
+    *("surctl.marine.cli", "surctl.marine.report.files", "surctl.marine.simulation.record_file"),
+    *("surctl.report.page_parts", "surctl.system.subjects", "surctl.tuning.systems"),
 )
 WRITTEN = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
 

@@ -85,7 +85,7 @@ def test_the_study_of_what_a_tuning_makes_worse(tmp_path: Path) -> None:
     need_compiler()
     done = run(ANALYSIS / "44_tuning" / "run.py", "--quick", "--out", str(tmp_path))
     assert done.returncode == 0, done.stdout + done.stderr
-    (row,) = [row for row in table(done.stdout) if row[0] == "bluerov2-wu"]
+    (row,) = [row for row in table(done.stdout) if row[0] == "sur400"]
     assert float(row[3]) >= 0.3 and row[6] == ""
     # the study finds a text that is silent about a figure
     (text,) = tmp_path.glob("*/text")

@@ -34,7 +34,7 @@ VEHICLES = (
     "sur400", "sur540-light", "sur540-flooded", "bluerov2-wu", "bluerov2-vonbenzon", "bluerov2-heavy", "girona500",
     "rexrov", "cybership2", "otter", "remus100", "lauv", "eca-a9",
 )  # fmt: skip
-QUICK, SHARE = "bluerov2-wu", 0.3  # no claim about a region concerns it
+QUICK, SHARE = "sur400", 0.3  # its region is proved soon, and the tuned gains make it smaller
 SHARES = (1.0, 0.3, 0.5)
 TRIALS = 32
 WORDS = ("--rounds", "1", "--seeds", "1", "--monte-carlo", "2", "--verbose")

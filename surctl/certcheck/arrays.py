@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sys
 from fractions import Fraction
-from functools import lru_cache
+from functools import lru_cache, reduce
 from math import inf, nextafter, pi
 
 import numpy as np
@@ -119,10 +119,10 @@ def subtract(a: Ends, b: Ends) -> Ends:
 
 def multiply(a: Ends, b: Ends) -> Ends:
     """Return the product a b; an infinite end times 0 is 0."""
-    # one array operation on the four products of ends costs far less than four, as most arrays are small
-    x, y = np.array(a), np.array(b)
-    x = x.reshape(2, 1, *(1,) * (y.ndim - x.ndim), *x.shape[1:])
-    y = y.reshape(1, 2, *(1,) * (x.ndim - 1 - y.ndim), *y.shape[1:])
+    # one array operation on all products of ends costs far less than four, as most arrays are small
+    x, y = (np.array(end[:1] if end[0] is end[1] else end) for end in (a, b))
+    x = x.reshape(len(x), 1, *(1,) * (y.ndim - x.ndim), *x.shape[1:])
+    y = y.reshape(1, len(y), *(1,) * (x.ndim - 1 - y.ndim), *y.shape[1:])
     exact = (x == 0) | (y == 0)
     p = np.where(exact, 0.0, x * y)
     if np.array_equal(p == 0, exact):
@@ -161,9 +161,8 @@ def divide(a: Ends, b: Ends) -> Ends:
     """Return a / b; the whole real line if b contains 0."""
     unsafe = (b[0] <= 0) & (b[1] >= 0)
     under = np.where(unsafe, 1.0, b[0]), np.where(unsafe, 1.0, b[1])
-    quotients = [_quotient(x, y) for x in a for y in under]
-    low = np.minimum(np.minimum(quotients[0][0], quotients[1][0]), np.minimum(quotients[2][0], quotients[3][0]))
-    high = np.maximum(np.maximum(quotients[0][1], quotients[1][1]), np.maximum(quotients[2][1], quotients[3][1]))
+    quotients = [_quotient(x, y) for x in (a[:1] if a[0] is a[1] else a) for y in under]
+    low, high = reduce(np.minimum, (q[0] for q in quotients)), reduce(np.maximum, (q[1] for q in quotients))
     low, high = np.where(unsafe, -np.inf, low), np.where(unsafe, np.inf, high)
     return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
 

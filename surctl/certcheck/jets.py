@@ -72,7 +72,7 @@ class Jet:
         if self.bend is None or other.bend is None:
             return Jet(value, slope)
         crossed = iv.multiply(_column(self.slope), _row(other.slope))
-        turned = iv.multiply(_row(self.slope), _column(other.slope))
+        turned = crossed[0].swapaxes(0, 1), crossed[1].swapaxes(0, 1)
         own = iv.add(iv.multiply(self.bend, other.value), iv.multiply(other.bend, self.value))
         return Jet(value, slope, iv.add(own, iv.add(crossed, turned)))
 
@@ -300,8 +300,8 @@ class Tape:
                 at = entry.value.numerator
                 return _jet((box[0][at], box[1][at]), at, n, order), None
             case "num" | "pi":
-                low, high = iv.PI if entry.op == "pi" else iv.enclosed(entry.value)
-                return _jet((np.full(count, low), np.full(count, high)), None, n, order), None
+                low, high = (np.full(count, end) for end in (iv.PI if entry.op == "pi" else iv.enclosed(entry.value)))
+                return _jet((low, low if np.array_equal(low, high) else high), None, n, order), None
             case "add":
                 return args[0] + args[1], None
             case "sub":

@@ -28,7 +28,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, lru_cache
 from types import FunctionType
 from typing import Any, NoReturn, TypeAlias
 
@@ -194,9 +194,8 @@ class Procedure:
         texts = [function if isinstance(function, str) else source_of(function) for function in functions]
         memory = [(key, "real", size) for key, size in reals.items()]
         memory += [(key, "whole", size) for key, size in wholes.items()]
-        own, bounded = tuple(sizes.items()), "\n".join(texts)
-        source = "\n".join(map(ast.unparse, _Unbounded().visit(ast.parse(bounded)).body))
-        return cls(name, tuple(inputs), tuple(outputs), own, tuple(memory), source, bounded)
+        source, bounded = ("\n".join(part) for part in (map(_unbounded, texts), texts))
+        return cls(name, tuple(inputs), tuple(outputs), tuple(sizes.items()), tuple(memory), source, bounded)
 
     def __post_init__(self) -> None:
         """Raise InputError for a source that a back end could not run."""
@@ -272,6 +271,12 @@ class Procedure:
         exec(compile(tree, self.name, "exec"), scope)  # `_typed` admits only the language above
         entry: Callable[[_Memory], None] = scope[self.functions[-1].name]
         return entry
+
+
+@lru_cache(maxsize=512)  # many procedures have some functions in common
+def _unbounded(text: str) -> str:
+    """Return functions without the statements of module `bound`, as `Procedure.source` holds them."""
+    return "\n".join(map(ast.unparse, _Unbounded().visit(ast.parse(text)).body))
 
 
 class _Unbounded(ast.NodeTransformer):

@@ -46,11 +46,10 @@ class BrokenLoop:
             points: indices of the p points, or a slice.
         """
         s = np.exp(1j * self.dt * omega) if self.dt else 1j * omega
-        closed, opened = self.closed[points], self.opened[points]
-        shape = (len(closed), *(1,) * (omega.ndim - 1))
-        product = np.ones(np.broadcast_shapes(shape, omega.shape), dtype=complex)
-        for k in range(closed.shape[1]):
-            product *= (s - closed[:, k].reshape(shape)) / (s - opened[:, k].reshape(shape))
+        closed, opened = (p[points].T[(..., *(None,) * (omega.ndim - 1))] for p in (self.closed, self.opened))
+        product = np.ones(np.broadcast_shapes(closed.shape[1:], omega.shape), dtype=complex)
+        for zero, pole in zip(closed, opened, strict=True):
+            product *= (s - zero) / (s - pole)
         return product - 1
 
 

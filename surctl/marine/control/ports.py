@@ -179,9 +179,8 @@ OF_VEHICLE: Mapping[str, Callable[[Vehicle, float], float]] = MappingProxyType(
 
 def parameter_ports(own: Mapping[str, GainSpec]) -> Layout:
     """Return the layout of the parameters of a law: `PARAMETERS`, then the law's own gains `own`."""
-    return Layout(
-        (*PARAMETERS, *(Port(name, (1,), spec.unit, spec.meaning, spec.default or 0.0) for name, spec in own.items()))
-    )
+    ports = (Port(name, (1,), spec.unit, spec.meaning, spec.default or 0.0) for name, spec in own.items())
+    return Layout((*PARAMETERS, *ports)) if own else PARAMETERS
 
 
 def _spin_side(path: Path, walls: tuple[float, float, float, float]) -> int:

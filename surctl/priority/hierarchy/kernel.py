@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Set
+from functools import lru_cache
 from typing import Any
 
 from surctl.errors import InputError
@@ -188,9 +189,10 @@ def hierarchy(
     return _kernel(shape, rows, precision, damped, rest)
 
 
+@lru_cache(maxsize=32)
 def _kernel(shape: StackShape, rows: int, precision: Precision, damped: bool, budget: int | None) -> Procedure:
     """Return the kernel; budget: most operations before those that do not check it."""
-    off = {*(() if damped else ("damped",)), *(("budget",) if budget is None else ())}
+    off = frozenset((*(() if damped else ("damped",)), *(("budget",) if budget is None else ())))
     functions = [_source(function, off, precision) for function in (_DAMPED if damped else _STRICT)]
     n, starts = shape.n, (0, 1, *(2 + start for start in shape.starts), 2 + shape.rows)
     p, x, k = len(shape.levels) + 2, _padded(n + 2), _padded(2 + shape.rows)
@@ -246,7 +248,8 @@ _FLOAT = {
 """The tolerances of the kernel for float, by those for double."""
 
 
-def _source(function: Callable[..., Any], off: Set[str], precision: Precision) -> str:
+@lru_cache(maxsize=512)  # kernels of other shapes have the same functions
+def _source(function: Callable[..., Any], off: frozenset[str], precision: Precision) -> str:
     """Return the source of a function with its tolerances, without the branches for what is `off`."""
     tree = _Without(off).visit(ast.parse(source_of(function)))
     if precision == FLOAT32:
