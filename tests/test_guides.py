@@ -7,6 +7,7 @@ share their names.
 
 from __future__ import annotations
 
+import ast
 import doctest
 import os
 import re
@@ -267,3 +268,17 @@ def test_the_architecture_has_the_packages_in_their_order() -> None:
         rows = [re.findall(r"`(\w+)`", line.split("|")[1]) for line in table.splitlines() if line.startswith("| `")]
         names = [name.strip().removeprefix("surctl.") for layer in layers for name in layer.split("|")]
         assert [name for row in rows for name in row] == names
+
+
+def test_an_example_needs_only_the_imports_that_its_page_names() -> None:
+    # the reader of one answer copies its example, and the imports of the observer's
+    [page] = [guide for guide in GUIDES if name_of(guide) == "questions/systems"]
+    texts = [text for kind, text in BLOCK.findall(page.read_text(encoding="utf-8")) if kind == "pycon"]
+    trees = [ast.parse("".join(e.source for e in doctest.DocTestParser().get_examples(text))) for text in texts]
+    imports = [[node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)] for tree in trees]
+    names = [{alias.asname or alias.name for node in nodes for alias in node.names} for nodes in imports]
+    [observer] = [own for own in names if "linearise_plant" in own]
+    assert "import surctl" in texts[names.index(observer)]
+    for tree, own in zip(trees, names, strict=True):
+        used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+        assert not used & set().union(*names) - own - observer

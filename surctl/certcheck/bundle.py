@@ -227,7 +227,8 @@ def read_manifest(document: Any, texts: Mapping[str, str], path: Path | None = N
         for name, entry in document["lists"].items():
             vectors = {key: tuple(map(_port, rows)) for key, rows in entry.items() if key not in ("sha256", *_NUMBERS)}
             count += sum(port.size for ports in vectors.values() for port in ports)
-            if count > _LONGEST:  # one number may stand for all entries of a port
+            alike = any(len({port.name for port in ports}) < len(ports) for ports in vectors.values())
+            if alike or count > _LONGEST:  # one number may stand for all entries of a port
                 raise ValueError(name)
             listed = Listed(texts.get(name, ""), vectors, _values(entry, vectors))
             if name in texts and digest(listed.text) != entry["sha256"]:

@@ -640,6 +640,16 @@ def test_what_is_no_regular_file(folder: Path) -> None:
     assert read_bundle(folder).wrong == ()
 
 
+def test_two_ports_of_a_vector_with_one_name_are_refused(folder: Path) -> None:
+    path = folder / "manifest.json"
+    table = json.loads(path.read_text())
+    ports = table["lists"]["law.txt"]["inputs"]
+    ports.append(ports[0])
+    path.write_text(json.dumps(table))
+    with pytest.raises(InputError, match="is not the manifest"):
+        read_bundle(folder)
+
+
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), True, "5.0", None])
 def test_numbers_of_the_manifest_are_finite_numbers(folder: Path, bad: object) -> None:
     path = folder / "manifest.json"

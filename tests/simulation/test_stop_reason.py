@@ -57,6 +57,14 @@ def test_a_run_to_the_time_limit_says_where_the_craft_stays_and_what_lint_says()
     tide = run.scenario.disturbance.model_copy(update={"current_m_per_s": (0.0, 0.05)})
     drifting = replace(run, scenario=replace(run.scenario, disturbance=tide))
     assert stop_reason(drifting).endswith("give --guidance ilos, also to surctl export")
+    # at the end of the path, no guidance law brings the hull nearer, but the integral gain does
+    state = run.record.law_state.copy()
+    state[-1, run.law.state.slice("progress")] = run.scenario.path.length
+    there = replace(drifting, record=replace(run.record, law_state=state))
+    assert stop_reason(there).endswith("beside the end of the path, unless the gain k_i is positive")
+    assert "ilos" not in stop_reason(there)
+    held = replace(there, gains=run.gains.with_values({"k_i": 0.3}))
+    assert stop_reason(held).endswith("m from the end of the path")
     still = replace(run.record, eta=np.zeros_like(run.record.eta))
     assert stop_reason(replace(run, record=still)) == "the craft did not move"
     torpedo = load_vehicle("remus100")

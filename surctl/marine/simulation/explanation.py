@@ -86,6 +86,7 @@ _NEAR = 4.0  # hull radii within which a drifting hull makes no way (*chosen*)
 _TOUCH = 0.01  # [m] distance to the hull that counts as touching it
 _NO_STEERAGE = "its rudders or fins do not turn it at rest"
 _UNLEARNT = "guidance los does not learn the current: give --guidance ilos, also to surctl export"
+_HELD_OFF = "a current keeps the hull beside the end of the path, unless the gain k_i is positive"
 
 
 def failure(run: Run) -> str | None:
@@ -160,8 +161,12 @@ def _time_limit_reason(run: Run) -> str:
         )
         if vehicle.fin_share(run.scenario.cruise) > 0.5:
             said.append(_NO_STEERAGE)
-        elif run.law.guidance == "los" and any(run.scenario.disturbance.current_m_per_s):
-            said.append(_UNLEARNT)
+        elif any(run.scenario.disturbance.current_m_per_s):
+            beyond = run.record.law_state[-1, run.law.state.slice("progress")] >= run.scenario.path.length
+            if beyond.all() and left > _TOUCH and not run.gains["k_i"]:
+                said.append(_HELD_OFF)
+            elif not beyond.all() and run.law.guidance == "los":
+                said.append(_UNLEARNT)
     elif search := _search_reason(run):
         said.append(search)
     errors = [f for f in findings(run.scenario, vehicle, gains=run.gains) if f.level == "error"]
