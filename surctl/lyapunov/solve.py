@@ -359,7 +359,7 @@ def stated_lines(
     lines.append(f"  where {ranges}")
     if kind == "lyapunov":
         near = {name: f" ± {radius:g}" for name, radius in (radii or {}).items()}
-        texts = (f"{s.name} = {decimal_text(s.rest)}{near.get(s.name, '')}" for s in d.states)
+        texts = (f"{s.name} = {clipped(decimal_text(s.rest))}{near.get(s.name, '')}" for s in d.states)
         lines.append(f"  equilibrium {', '.join(texts)}")
     return lines
 

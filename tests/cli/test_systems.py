@@ -20,8 +20,10 @@ from click.testing import CliRunner, Result
 from surctl.cli.app import app
 from surctl.cli.subject import region_words
 from surctl.errors import InputError
+from surctl.ir import Layout, Port
+from surctl.lyapunov import sampled_dynamics
 from surctl.own_code import object_of, pinned
-from surctl.system import System, find_equilibrium, linearise, run_system, simulate_system
+from surctl.system import Controller, Plant, System, find_equilibrium, linearise, run_system, simulate_system
 from surctl.verification import system_disk_margin, system_margins
 from tests.certcheck.altering import sealed
 from tests.pictures import blank_pictures
@@ -331,8 +333,10 @@ def test_c_for_a_target_is_checked_on_it(file: str) -> None:
 
 def test_a_study_puts_run_margins_sweep_and_export_on_one_page(file: str) -> None:
     need_compiler()
-    words = ("study", file, "reference.goal=0.5", "k=0.5..2:3", "--seconds", "0.5", "--out", "s")
+    words = ("study", file, "reference.goal=0.5", "plant.blow=0..0", "k=0.5..2:3", "--seconds", "0.5", "--out", "s")
     done = data(*words)
+    (then,) = done["next"]  # about the same parameters
+    assert shlex.split(then)[1:5] == ["verify", file, "reference.goal=0.5", "plant.blow=0..0"] and " k=" in then
     runs = simulate_system(own(file), 0.5, {"k": [0.5, 1.25, 2.0], "reference.goal": 0.5})
     assert done["best"]["final"]["least"] == runs["final"].min() and done["passed"]
     assert done["linear"]["equilibrium"] == data("verify", file, "reference.goal=0.5")["equilibrium"]
@@ -614,3 +618,16 @@ def test_a_region_of_a_system_is_proved_and_its_words_are_checked(
     beside = data("verify", "loop.py:build", "within.x=1..2", status=1)
     assert beside["region"]["verdict"] == "not applicable" and beside["stable"] is True
     assert any("not assessed, because it rests at x = 0 m" in line["text"] for line in beside["assessment"]["lines"])
+
+
+def test_dynamics_that_are_not_defined_at_a_corner_are_refused_without_a_warning() -> None:
+    x, u, mass = Port("x", (1,), "m", ""), Port("u", (1,), "N", ""), Layout((Port("mass", (1,), "kg", "", 1.0),))
+    plant = Plant("lift", Layout((x,)), Layout((u,)), lambda x, f, d, p: f["u"] / p["mass"] - 1, parameters=mass)
+    law = Controller("hold", 0.1, Layout((x,)), Layout((u,)), lambda x, u, p: -2 * u["x"])
+    dynamics = sampled_dynamics(System(plant, law), {"x": (-2.0, 2.0)}, ranges={"plant.mass": (0.5, 2.0)})
+    massless = replace(dynamics, parameters=(replace(dynamics.parameters[0], lower=0.0),))
+    with (
+        np.errstate(invalid="raise"),
+        pytest.raises(InputError, match=r"lift\.dynamics: is not finite at x = -0\.\d+, plant_mass = 0"),
+    ):
+        massless.rests()
