@@ -139,7 +139,7 @@ def load_claim(path: Path) -> Claim:
                 for name, entry in table.variables.items()
             ),
             left, right, table.unit, ca.vertcat(ca.SX(0, 1), *casadi_rows), tuple(table.witnesses),
-            _motion(table, read), table.tolerance, exact=exact,
+            _motion(table, read), table.tolerance, paper=False, exact=exact,
         )  # fmt: skip
 
 

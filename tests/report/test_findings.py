@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 from surctl.assessment import Figure, Line
 from surctl.marine.report import render_page
-from surctl.marine.report.page import findings_section
+from surctl.marine.report.page import _WORDS, findings_section
 from surctl.marine.verification import claims
 from surctl.report.document import Section, Table, render_sections
-from surctl.report.evidence import claim_words
-from surctl.verification import Inapplicable
+from surctl.verification import Inapplicable, decide, load_claim
 from tests.report.data import report
 from tests.report.reader import Reader
 from tests.report.test_page import bare
@@ -80,6 +80,18 @@ def test_claims_are_one_table_of_sentences_below_the_figures() -> None:
 
 def test_every_claim_of_the_paper_has_words_without_a_formula() -> None:
     for claim in claims():
-        clause, beyond = claim_words(claim)
         if claim.paper:
+            clause, beyond = (_WORDS[claim.name][key] for key in ("clause", "beyond"))
             assert not re.search(r"[≤≥‖]", clause) and clause != claim.statement and beyond
+    assert set(_WORDS) == {claim.name for claim in claims() if claim.paper}
+
+
+def test_a_claim_of_a_file_has_its_own_words_whatever_its_name(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        'kind = "claim"\nname = "v1-printed"\nleft = "-x^2"\nright = "0"\n'
+        '[variables]\nx = { lower = -1, upper = 1, unit = "m" }\n'
+    )
+    section = findings_section(replace(report(), verdicts=(decide(load_claim(file)),)))
+    row = [cell.text for block in section.blocks if isinstance(block, Table) for cell in block.cells[-1]]
+    assert any("-x^2 <= 0" in text for text in row) and not any("tracking" in text for text in row)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from math import pi
+from pathlib import Path
 
+from surctl.files import read_toml
 from surctl.marine.report.evidence_sections import claims_section, decisive_section, runs_section
 from surctl.marine.report.sections import (
     ReportData,
@@ -13,13 +15,13 @@ from surctl.marine.report.sections import (
     vehicle_section,
 )
 from surctl.report.document import Cell, Paragraph, Section, Table
-from surctl.report.evidence import claim_words
 from surctl.report.study_page import figures_table, study_page
 from surctl.report.theme import interval, number
 from surctl.verification import Claim, Inapplicable, Verdict
 
 _Row = tuple[Cell | str, ...]
 _WIDTHS = (12, 11, 34, 27, 16)  # [%]
+_WORDS = read_toml(Path(__file__).with_name("claims.toml"))  # of the library's claims, without formulas
 _LEADS = {"proved": "It is proved that", "refuted": "It is not true that"}
 
 
@@ -48,7 +50,7 @@ def _where(data: ReportData, vehicle: str) -> str:
 
 
 def _claim_row(data: ReportData, v: Verdict) -> _Row:
-    words = claim_words(v.claim)
+    words = _WORDS[v.claim.name] if v.claim.paper else {"clause": v.claim.statement, "beyond": ""}
     lead = _LEADS.get(v.verdict, "It is not known whether")
     count = f"; {number(100 * v.fraction, digits=3)} % of the samples in this set violate it"
     share = count if v.verdict == "refuted" else ""
@@ -57,9 +59,9 @@ def _claim_row(data: ReportData, v: Verdict) -> _Row:
     return (
         Cell(v.claim.name, code=True, anchor=f"claims-{v.claim.name}"),
         Cell(f"{v.verdict}, {expected}", "good" if good else "note" if v.as_expected else "bad"),
-        f"{lead} {words.clause}{share}.",
+        f"{lead} {words['clause']}{share}.",
         f"{_where(data, data.vehicle.name)}; {_domain(v.claim)}.",
-        _beyond(v, words.beyond),
+        _beyond(v, words["beyond"]),
     )
 
 
