@@ -216,6 +216,8 @@ def is_system(words: Sequence[str]) -> bool:
 
 
 _STARTS_FROM = "a search starts from the gains that FILE.py states as defaults: write the tuned ones there, and drop it"
+_SEEDS = "for many random runs, give surctl sweep the word FILE.py:FUNCTION and --seeds N"
+_INSTEAD = {"--gains": _STARTS_FROM, "--monte-carlo": _SEEDS, "--runs": _SEEDS}
 
 
 def refuse_others(what: str) -> None:
@@ -223,7 +225,7 @@ def refuse_others(what: str) -> None:
     own = own_parameters(click.get_current_context().command)
     for option in typed("gains"):  # a table of gains replaces gains of a system, too
         if isinstance(option, click.Option) and option not in own:
-            remedy = _STARTS_FROM if option.opts[0] == "--gains" else "drop it"
+            remedy = _INSTEAD.get(option.opts[0], "drop it")
             raise InputError(f"does not apply to {what}", key=option.opts[0], remedy=remedy)
 
 
@@ -253,7 +255,11 @@ def _tabled_gains(file: str, system: lib.System) -> dict[str, float]:
     if len(table.lines) != 1:
         remedy = "give the file gains.csv of surctl tune"
         raise InputError(f"has {len(table.lines)} rows of gains", file=file, remedy=remedy)
-    return {name: float(table.numbers(name)[0]) for name in table.columns}
+    known = {name: float(table.numbers(name)[0]) for name in table.columns}
+    for name, value in known.items():
+        if not math.isfinite(value):
+            raise InputError("is not finite", file=file, key=name, value=value, remedy="give a finite number")
+    return known
 
 
 def assigned(words: Sequence[str]) -> Mapping[str, NDArray[np.float64]]:

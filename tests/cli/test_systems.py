@@ -494,6 +494,11 @@ def test_tune_finds_gains_and_says_what_is_not_kept(file: str, tmp_path: Path) -
     )
     table.write_text("k\n1.0\n2.0\n")
     assert complaint("verify", file, "--gains", str(table)).startswith(f"{table}: has 2 rows of gains; ")
+    table.write_text("k\nnan\n")
+    assert complaint("verify", file, "--gains", str(table)) == f"{table}: k = nan: is not finite; give a finite number"
+    assert complaint("simulate", file, "--monte-carlo").endswith(
+        " give surctl sweep the word FILE.py:FUNCTION and --seeds N"
+    )
 
 
 @pytest.mark.parametrize(

@@ -181,7 +181,7 @@ def test_windows_must_hold_the_echo():
     assert SonarArray(maximum=18.5).echo_time <= 0.025
     with pytest.raises(InputError, match="is too long for the cycle"):
         SonarArray(maximum=80.0)
-    with pytest.raises(InputError, match=r"longer than the cycle_limit of 0\.05 s; give 0\.0125 s"):
+    with pytest.raises(InputError, match=r"longer than the cycle limit of 0\.05 s; give 0\.0125 s"):
         SonarArray(cycle_limit=0.05)
     # five pings one after another would not fit: a firing is one ping
     assert 5 * SonarArray().echo_time > SonarArray().firing_period

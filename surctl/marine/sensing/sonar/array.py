@@ -337,11 +337,11 @@ def _check_timing(array: SonarArray) -> None:
     check_number("array.firing_period", array.firing_period, unit="s")
     check_number("array.cycle_limit", array.cycle_limit, unit="s")
     fits = array.firing_period / max(1, ceil(array.cycle / array.cycle_limit - _SLACK))
-    problem = f"gives a cycle of {array.cycle:g} s, longer than the cycle_limit of {array.cycle_limit:g} s"
-    remedy = f"give {fits:g} s, or a longer cycle_limit"
+    problem = f"gives a cycle of {array.cycle:g} s, longer than the cycle limit of {array.cycle_limit:g} s"
+    remedy = f"give {fits:g} s, or a longer cycle limit"
     _require(array, "firing_period", array.cycle <= array.cycle_limit + _SLACK, problem, remedy)
     echo = f"an echo from it takes {1e3 * array.echo_time:.1f} ms in water"
-    problem = f"is too long for the cycle: {echo}, longer than the cycle_limit of {array.cycle_limit:g} s"
+    problem = f"is too long for the cycle: {echo}, longer than the cycle limit of {array.cycle_limit:g} s"
     remedy = f"give at most {0.5 * array.speed * array.firing_period:.3g} m"
     _require(array, "maximum", array.echo_time <= array.cycle_limit + _SLACK, problem, remedy)
     problem = f"makes firings overlap: {echo}, but the next sensor fires after {1e3 * array.firing_period:g} ms"
