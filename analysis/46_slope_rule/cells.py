@@ -32,6 +32,7 @@ from surctl.certcheck import arrays as iv
 from surctl.certcheck.arrays import Ends
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.jets import Tape
+from surctl.certcheck.secants import slopes_on
 from surctl.certcheck.slope_rows import Number, Poly
 
 Array = NDArray[np.float64]
@@ -838,7 +839,7 @@ def _secants(function: Tape, c: Ends, d: Ends, whole: Ends) -> Ends:
     t = np.clip(far[0], *whole), np.clip(far[1], *whole)
     [at_c], [jet] = function.everywhere(c, order=1), function.everywhere(t, order=1)
     assert at_c.slope is not None and jet.slope is not None
-    between = _slopes(function, (np.minimum(t[0], c[0]), np.maximum(t[1], c[1])))
+    between = slopes_on(function, (np.minimum(t[0], c[0]), np.maximum(t[1], c[1])))
     known = _common(between, iv.divide(iv.subtract(jet.value, at_c.value), d))
     # the mean value theorem with s_d = (g'(c + d) − s)/d and s_c = (g'(c + d) − g'(c))/d; it needs all of c + d
     read = function.run(far, order=1)
@@ -847,7 +848,7 @@ def _secants(function: Tape, c: Ends, d: Ends, whole: Ends) -> Ends:
     middle_c, middle_d = iv.point(c[0] / 2 + c[1] / 2), iv.point(d[0] / 2 + d[1] / 2)
     end, start = function.run(iv.add(middle_c, middle_d)), function.run(middle_c)
     first = iv.divide(iv.subtract(end.jets[0].value, start.jets[0].value), middle_d)
-    every = _common(_slopes(function, _hull(far, c)), iv.divide(iv.subtract(read.jets[0].value, at_c.value), d))
+    every = _common(slopes_on(function, _hull(far, c)), iv.divide(iv.subtract(read.jets[0].value, at_c.value), d))
     by_d = iv.divide(iv.subtract(slope, every), d)
     by_c = iv.divide(iv.subtract(slope, at_c.slope), d)
     near = iv.add(
@@ -855,20 +856,6 @@ def _secants(function: Tape, c: Ends, d: Ends, whole: Ends) -> Ends:
     )
     fine = read.defined[0] & end.defined[0]
     return _common(known, (np.where(fine, near[0], -np.inf), np.where(fine, near[1], np.inf)))
-
-
-def _slopes(function: Tape, t: Ends) -> Ends:
-    """Return the range of the slopes on each piece (1, B), below and above 0 apart."""
-
-    def own(part: Ends) -> Ends:
-        [jet] = function.everywhere(part, order=1)
-        assert jet.slope is not None
-        return jet.slope
-
-    across = (t[0] < 0) & (t[1] > 0)
-    if not across.any():
-        return own(t)
-    return _hull(own((t[0], np.where(across, 0.0, t[1]))), own((np.where(across, 0.0, t[0]), t[1])))
 
 
 def _cuts(a: Ends, count: int) -> tuple[Array, Array]:

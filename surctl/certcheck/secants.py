@@ -15,7 +15,7 @@ from surctl.certcheck.arrays import Ends
 from surctl.certcheck.enclosure import Interval, Undefined, greatest, least, outward
 from surctl.certcheck.jets import Tape, as_interval
 
-__all__ = ["common", "fraction", "pieces", "secant"]
+__all__ = ["common", "fraction", "pieces", "secant", "slopes_on"]
 
 _PIECES, _HALVED = 24, 4  # parts of a range on each side of x* for a secant slope; halvings of the part next to x*
 _FINE, _MOST_PARTS = 24, 12  # parts of x* as wide as the range, where x* has radii; most of them
@@ -54,7 +54,7 @@ def _secants(function: Tape, t: Ends, c: tuple[float, float]) -> Ends:
     [at_c], [jet] = function.everywhere(own, order=1), function.everywhere(t, order=1)
     assert at_c.slope is not None and jet.slope is not None
     apart = iv.subtract(t, own)
-    between = _slopes(function, (np.minimum(t[0], c[0]), np.maximum(t[1], c[1])))
+    between = slopes_on(function, (np.minimum(t[0], c[0]), np.maximum(t[1], c[1])))
     secants = _common(between, iv.divide(iv.subtract(jet.value, at_c.value), apart))
     if c[1] - c[0] > _NARROW * max(np.abs(end).max() for end in apart):
         # s_c = (s − g'(c))/(t − c), and s(c) = s(m) + s_c(γ)(c − m)
@@ -69,7 +69,7 @@ def _secants(function: Tape, t: Ends, c: tuple[float, float]) -> Ends:
     return _common(secants, iv.add(first, iv.multiply(bend, iv.subtract(t, middle))))
 
 
-def _slopes(function: Tape, t: Ends) -> Ends:
+def slopes_on(function: Tape, t: Ends) -> Ends:
     """Return the range of the slopes on each piece (1, B), which bounds secant slopes by the mean value theorem.
 
     Below and above 0, the slopes of a function with a kink there, such as t |t|, have narrower ranges.

@@ -291,9 +291,9 @@ class Dynamics:
         assert form is not None
         states, parameters = (ca.vertcat(*[at[v.name] for v in part]) for part in (self.states, self.parameters))
         commands = {command.name: ca.SX.sym(command.name) for command in form.commands}
-        plant, held = ca.vertcat(*[at[name] for name in form.flow]), ca.vertcat(*commands.values())
+        plant = ca.vertcat(*[at[name] for name in form.flow])
         rates = ca.vertcat(*[to_casadi(rate, at | commands) for rate in form.flow.values()])
-        flow = ca.Function("flow", [plant, held, parameters], [rates])
+        flow = ca.Function("flow", [plant, ca.vertcat(*commands.values()), parameters], [rates])
         held = ca.vertcat(*[to_casadi(command.value, at) for command in form.commands])
         for _ in range(_SUBSTEPS):
             plant = runge_kutta(lambda y, _: flow(y, held, parameters), plant, form.period / _SUBSTEPS)

@@ -102,7 +102,7 @@ def least_held_level(dynamics: Dynamics, function: Node, share: float, *, seed: 
     d, n, value = dynamics, len(dynamics.states), dynamics.compiled(function)
     level = float(((d.freedom / farthest(d, function, 1.0)) ** 2).min())
     least = Falsified(level, {}, "face", confirmed=True)
-    centre, spread = np.zeros(n), 1.0
+    centre, spread = np.zeros(n), 1.0  # of rays; `directions` loads scipy.stats, which takes longer than this search
     for _ in range(_ROUNDS):
         rays = centre[:, None] + spread * np.random.default_rng(seed).normal(size=(n, _FEW_RAYS))
         step = d.freedom[:, None] * rays

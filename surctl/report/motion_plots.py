@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -84,9 +85,10 @@ def _plane(
     ax.grid(visible=False)
     ax.locator_params(axis="x", nbins=7)  # more numbers of three decimals touch each other
     if not dynamics.discrete:
-        few = np.arange(_GRID)[_GRID // (2 * _ARROWS) :: _GRID // _ARROWS]
-        rates = _moved(dynamics, points)[[i, j]].reshape(2, _GRID, _GRID)[:, few[:, None], few]
-        u, v = rates / (high - low)[[i, j], None, None]
+        few, after = np.arange(_GRID)[_GRID // (2 * _ARROWS) :: _GRID // _ARROWS], _after(dynamics)
+        x = points.reshape(-1, _GRID, _GRID)[:, few[:, None], few].reshape(len(points), -1)
+        rates = dynamics.evaluate(x) if after is None else after(x) - x
+        u, v = rates[[i, j]].reshape(2, len(few), -1) / (high - low)[[i, j], None, None]
         size = np.maximum(np.hypot(u, v), 1e-12)
         ax.quiver(a[few], b[few], u / size, v / size, angles="uv", pivot="mid", color=ROBOT, scale=26, width=0.004)
     ax.contourf(a, b, values, levels=[-np.inf, level], colors=[GOOD], alpha=0.12)
@@ -124,27 +126,22 @@ def _values(dynamics: Dynamics, function: Node, points: Array) -> Array:
 def _solutions(dynamics: Dynamics, start: Array) -> Array:
     """Return solutions (steps, n, N) from the states (n, N); a solution ends where it leaves the box by far."""
     low, high = dynamics.box
-    if dynamics.discrete:
-        return _path(dynamics.evaluate, start, _STEPS // 10, dynamics.box)
-    if dynamics.sampling is not None:
-        return _path(lambda x: x + _moved(dynamics, x), start, _STEPS, dynamics.box)
-    rates = np.abs(dynamics.evaluate(start)) / (high - low)[:, None]
-    step = _TURN / max(float(rates[np.isfinite(rates)].max(initial=1e-9)), 1e-9)
-    return _path(lambda x: runge_kutta(lambda y, _: dynamics.evaluate(y), x, step), start, _STEPS, dynamics.box)
-
-
-def _moved(dynamics: Dynamics, x: Array) -> Array:
-    """Return the rates at states (n, N), or the changes over a control period of the sampled form."""
-    if dynamics.sampling is None:
-        return dynamics.evaluate(x)
-    return np.asarray(dynamics.held(x, dynamics.ranges.mean(axis=0))) - x
-
-
-def _path(step: Callable[[Array], Array], start: Array, count: int, box: Array) -> Array:
-    path = [start]
-    for _ in range(count):
-        path.append(_inside(step(path[-1]), *box))
+    after, path = _after(dynamics), [start]
+    if after is None:
+        rates = np.abs(dynamics.evaluate(start)) / (high - low)[:, None]
+        step = _TURN / max(float(rates[np.isfinite(rates)].max(initial=1e-9)), 1e-9)
+        after = partial(runge_kutta, lambda x, _: dynamics.evaluate(x), h=step)
+    for _ in range(_STEPS // 10 if dynamics.discrete else _STEPS):
+        path.append(_inside(after(path[-1]), low, high))
     return np.array(path)
+
+
+def _after(dynamics: Dynamics) -> Callable[[Array], Array] | None:
+    """Return the map from states (n, N) to those at the next instant; None for continuous time."""
+    if dynamics.sampling is None:
+        return dynamics.evaluate if dynamics.discrete else None
+    middle = dynamics.ranges.mean(axis=0)
+    return lambda x: np.asarray(dynamics.held(x, middle))
 
 
 def _inside(x: Array, low: Array, high: Array) -> Array:
