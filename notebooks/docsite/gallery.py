@@ -21,26 +21,26 @@ ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "notebooks" / "gallery"
 
 EXAMPLES = {
-    "wall_following": "underwater robot, own law",
-    "rudder_mission": "torpedo with rudder, mission",
-    "otter_survey": "catamaran, survey",
-    "bluerov2_attitude": "ROV in six degrees of freedom, task priorities",
-    "cybership2": "model ship, positioning and C",
-    "state_feedback": "ship, python-control",
-    "quadrotor_altitude": "quadrotor, tuning",
     "pendulum_lqr": "pendulum on a cart, LQR and margins",
-    "camera_cart": "cart, sampled sensors, noise and dropouts",
     "crane": "overhead crane, region of the sampled loop with its force limit",
+    "camera_cart": "cart, sampled sensors, noise and dropouts",
     "reactor": "stirred tank reactor, region about an unstable operating point",
-    "barrier_double_integrator": "cart, safety filter",
+    "quadrotor_altitude": "quadrotor, tuning",
     "van_der_pol": "textbook dynamics, certificate",
+    "barrier_double_integrator": "cart, safety filter",
+    "state_feedback": "ship, python-control",
+    "cybership2": "model ship, positioning and C",
+    "bluerov2_attitude": "ROV in six degrees of freedom, task priorities",
+    "otter_survey": "catamaran, survey",
+    "rudder_mission": "torpedo with rudder, mission",
+    "wall_following": "underwater robot, own law",
     "own_goals": "underwater robot, goals",
     "panda_reach": "arm, self-collision",
     "two_arms": "two arms, relative target",
     "bluerov2_arm": "ROV with arm, thrust limits",
     "humanoid_reach": "humanoid, balance",
 }
-"""The examples in the order of the gallery, with what each is about."""
+"""The examples in the order of the gallery, plants of any kind before vehicles and robots, with what each is about."""
 
 
 @dataclass(frozen=True)
