@@ -71,7 +71,7 @@ def _uri(path: Path) -> str:
 
 def _copied(path: Path) -> bool:
     # the quick form makes no page for each of a hundred systems
-    return path.suffix in _PICTURES or (_QUICK and path.parent.name == "systems")
+    return path.suffix in _PICTURES or (_QUICK and path.match("systems/*.toml"))
 
 
 def _target(link: str, source: Path) -> Path | None:
