@@ -47,6 +47,7 @@ def main(words: list[str]) -> int:
     from surctl import __version__
 
     folder = Path(words[0]).resolve()
+    # without -q, with which mkdocs counts no warnings
     build = ["mkdocs", "build", "--strict", "-f", str(ROOT / "notebooks" / "mkdocs.yml")]
     command = [sys.executable, "-m", *build, "-d", str(folder / __version__)]
     status = subprocess.call(command, env={**os.environ, "SURCTL_SITE_VERSIONS": "1"})
