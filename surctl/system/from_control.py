@@ -90,9 +90,9 @@ _ALIKE = 1e-9
 def from_control(system: Any, controller: Any = None, *, dt: float | None = None) -> Any:
     """Return a python-control system as a `Plant`, a `Controller`, or with a controller as a `System`.
 
-    A system in continuous time becomes a plant, whose inputs are the commands; a system in discrete time becomes a
-    controller, whose outputs are the commands. Signals keep their names; `x[0]`, `x[1]` become one port x with two
-    entries, and a label such as "speed [m/s]" states a unit.
+    A system in continuous time becomes a plant, whose inputs are the commands; a system in discrete time, or a single
+    system with `dt`, becomes a controller, whose outputs are the commands. Signals keep their names; `x[0]`, `x[1]`
+    become one port x with two entries, and a label such as "speed [m/s]" states a unit.
 
     If the controller's inputs have names of the plant's outputs, they are connected by name, and all others are
     references. Otherwise the controller acts on the errors, that is, on reference minus output, as in
@@ -104,7 +104,8 @@ def from_control(system: Any, controller: Any = None, *, dt: float | None = None
             CasADi expressions, as numpy functions of arrays do; with `controller`, it may be a `Plant`.
         controller: such a system, or a `Controller`, as the controller of the plant `system`.
         dt: control period [s]. A linear controller in continuous time is sampled with it by Tustin's method; a system
-            in discrete time must have this period.
+            in discrete time must have this period. Without `controller`, `system` is then taken for a controller, not
+            for a plant: plants stay in continuous time.
 
     Raises:
         InputError: a plant has no state, or passes inputs directly to outputs; a controller has no control period, or
