@@ -56,6 +56,7 @@ def test_a_sampled_loop_belongs_to_its_controller(manifest: Manifest) -> None:
     good = compared(manifest, lambda c: None)
     assert good.belongs, good
     assert any(text.startswith("delay") for text in good.excludes)
+    assert "jitter: each control period is assumed to last exactly 0.05 s" in good.excludes
     assert not any(text.startswith("sampling") for text in good.excludes)
 
 
