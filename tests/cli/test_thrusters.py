@@ -1,6 +1,7 @@
 """`surctl vehicle thrusters`, and failures of thrusters as options."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -63,3 +64,13 @@ def test_limits_beyond_the_attainable_set_are_found():
     alone, together = thruster_findings(heavy.with_values({"Fw_max": 150.0}))
     assert alone.key == "thrust.Fw_max" and "at most 138 N in heave" in alone.text
     assert together.key == "thrust" and "only 92% of" in together.text
+    assert heavy.actuators is not None
+    ahead = [
+        one if abs(one.direction[2]) > 0.5 else replace(one, direction=(1.0, 0.0, 0.0))
+        for one in heavy.actuators.thrusters
+    ]
+    (none,) = thruster_findings(replace(heavy, actuators=replace(heavy.actuators, thrusters=tuple(ahead))))
+    assert none.key == "thrust.Fv_max" and none.text.startswith(
+        "the thrusters give no force in sway without other forces"
+    )
+    assert none.text.endswith('but Fv_max is 40 N: set it to "0 N", or add or turn a thruster to give it')

@@ -21,6 +21,7 @@ from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, attainable, plant_parameters
 from surctl.marine.vehicle.dynamics import trim_function
+from surctl.marine.vehicle.specs import SPECS
 from surctl.marine.vehicle.thruster_file import axis_ends
 from surctl.units import towards
 
@@ -89,6 +90,11 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
             if vehicle[key] > most * (1 + _SLACK) + _SLACK:
                 text = f"the thrusters give at most {most:.4g} {unit} in {word} without other forces, "
                 remedy = "lower it"
+                if most <= 0:
+                    what, way = "moment" if word == "yaw" else "force", " one way" if max(-low, high) > 0 else ""
+                    text = f"the thrusters give no {what} in {word}{way} without other forces, "
+                    zero = f'set it to "0 {unit}", or ' if SPECS[key].zero_allowed else ""
+                    remedy = f"{zero}add or turn a thruster to give it"
                 if key == name and reverse not in vehicle.parameters and vehicle["Fv_max"] == 0 and -low < high:
                     text = f"the thrusters give {high:.4g} {unit} in {word} one way and {-low:.4g} {unit} the other, "
                     remedy = f'add {reverse} = "{-low:.4g} {unit}"' if low < 0 else "give a thruster a force in reverse"
@@ -97,7 +103,7 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
                 text += f"but {key} is {vehicle[key]:g} {unit}: {remedy}"
                 results.append(Finding("warning", f"thrust.{key}", text))
     share = held_share(vehicle)
-    if share < 1 - _SLACK:
+    if _SLACK < share < 1 - _SLACK:  # 0: an axis without force or moment, as said above
         first, *_ = [name for name, _ in vehicle.actuators.levels]
         limits = [(name, towards(share * vehicle[name], up=False)) for name in _LIMITS if vehicle[name] > 0]
         lower = ", ".join(f'{name} = "{limit} {vehicle.parameters[name].unit}"' for name, limit in limits)
