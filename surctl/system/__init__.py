@@ -4,11 +4,11 @@ from surctl.system.controller import NONFINITE, Action, Controller, ControllerSt
 from surctl.system.from_control import from_control, to_control
 from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise, linearise_plant
 from surctl.system.linear_loop import LinearLoop
-from surctl.system.loop import LOST, Cost, System
+from surctl.system.loop import LOST, Cost, System, periods
 from surctl.system.parts import Parts, entry_labels, entry_units
 from surctl.system.plant import Plant
 from surctl.system.record import Record, run_system, save_record
-from surctl.system.runs import Runs, periods, simulate_system
+from surctl.system.runs import Runs, simulate_system
 from surctl.system.sampled import Sampled, message
 from surctl.system.values import every_combination
 

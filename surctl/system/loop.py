@@ -113,7 +113,8 @@ class System:
         sensors, actuators: sampled blocks between plant and controller, in their order.
 
     Raises:
-        InputError: a port is not connected, or is connected to a port of another shape or unit.
+        InputError: a port is not connected, or is connected to a port of another shape or unit; a duration, bound or
+            limit is not a finite number, or bounds are reversed.
 
     Example:
         >>> import casadi as ca
@@ -191,6 +192,13 @@ class System:
         for name, ends in self.limits.items():
             with mistakes.collected():
                 _check_limits(name, ends, shown)
+        if self.duration is not None:
+            with mistakes.collected(), mistakes_in(None, "duration"):
+                periods(self, self.duration)
+        for kind in ("ranges", "within"):
+            for name, ends in getattr(self, kind).items():
+                with mistakes.collected():
+                    as_range(ends, key=f"{kind}.{name}")
         for port in self.plant.inputs:
             with mistakes.collected():
                 _connected(port, driving, key=f"{self.plant.name}.inputs", to=to)
@@ -380,6 +388,25 @@ class System:
         for block in self.blocks.all:
             text += f" {block.block.digest()} {float(block.period or self.dt).hex()}"
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+def periods(system: System, seconds: float) -> int:
+    """Return the number of control periods in a duration in seconds.
+
+    Raises:
+        InputError: the duration is not a positive number, or is less than half a period.
+
+    Example:
+        >>> from surctl.system import periods
+        >>> from surctl.testing import cart_system
+        >>> periods(cart_system(), 2.0)
+        20
+    """
+    steps = round(seconds / system.dt) if is_number(seconds) and is_number(seconds / system.dt) else 0
+    if steps < 1:
+        remedy = f"give at least a period, {system.dt:g} s"
+        raise InputError("is not a duration of a run", key="seconds", value=seconds, remedy=remedy)
+    return steps
 
 
 T = TypeVar("T")

@@ -18,9 +18,9 @@ from surctl.noise import noise_states
 from surctl.plotted import Plotted
 from surctl.recorded_write import RECORD_FORMATS, Column, write_csv, write_mat, write_netcdf
 from surctl.system.controller import NONFINITE, lost_entry
-from surctl.system.loop import ENDED, LOST, System, once_per_system
+from surctl.system.loop import ENDED, LOST, System, once_per_system, periods
 from surctl.system.parts import entry_labels, entry_units, not_finite, undefined_operation
-from surctl.system.runs import figures_of, first_sums, moved_state, periods, summed
+from surctl.system.runs import figures_of, first_sums, moved_state, summed
 from surctl.system.sampled import Instant
 from surctl.system.values import run_numbers
 

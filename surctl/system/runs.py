@@ -18,11 +18,10 @@ from surctl.ir.folding import fused
 from surctl.ir.native import warn_slower
 from surctl.noise import noise_states
 from surctl.plotted import Plotted
-from surctl.system.loop import ENDED, LOST, System, once_per_system
+from surctl.system.loop import ENDED, LOST, System, once_per_system, periods
 from surctl.system.plant import runge_kutta
 from surctl.system.sampled import Instant
 from surctl.system.values import run_numbers
-from surctl.units import is_number
 
 Array = NDArray[np.float64]
 
@@ -148,25 +147,6 @@ def simulate_system(
     none = (flag < 0) | (moved == 0)
     figures = {name: np.where(none, np.nan, value) for name, value in figures_of(system, sums, count).items()}
     return Runs(figures, reasons[code], moved * system.dt, ends[:, state.slice("plant")])
-
-
-def periods(system: System, seconds: float) -> int:
-    """Return the number of control periods in a duration in seconds.
-
-    Raises:
-        InputError: the duration is not a positive number, or is less than half a period.
-
-    Example:
-        >>> from surctl.system import periods
-        >>> from surctl.testing import cart_system
-        >>> periods(cart_system(), 2.0)
-        20
-    """
-    steps = round(seconds / system.dt) if is_number(seconds) and is_number(seconds / system.dt) else 0
-    if steps < 1:
-        remedy = f"give at least a period, {system.dt:g} s"
-        raise InputError("is not a duration of a run", key="seconds", value=seconds, remedy=remedy)
-    return steps
 
 
 def _loop_step(system: System) -> Block:

@@ -543,13 +543,19 @@ def test_lint_of_a_system_lists_all_that_cannot_work(file: str) -> None:
     from dataclasses import replace
 
     def wrong():
-        return replace(bare(), duration=-1.0, ranges={"plant.blo": (0, 1), "k": (2, 1)}, within={"y": (0, 1)})
+        return replace(bare(), duration=1e9, ranges={"plant.blo": (0, 1), "plant.bli": (1, 2)}, within={"y": (0, 1)})
+
+    def no_numbers():
+        return replace(bare(), duration=float("nan"), ranges={"k": (2, 1)}, within={"x": (0, float("nan"))})
     """
     Path("mine.py").write_text(FILE + dedent(more))
     done = data("lint", "mine.py:wrong", status=1)
     assert [(one["level"], one["key"]) for one in done["findings"]] == [
-        ("error", "duration"), ("error", "plant.blo"), ("error", "ranges.k"), ("error", "within.y"), ("info", "costs"),
+        ("error", "duration"), ("error", "plant.blo"), ("error", "plant.bli"), ("error", "within.y"), ("info", "costs"),
     ]  # fmt: skip
+    for command in ("lint", "verify", "simulate"):
+        said = complaint(command, "mine.py:no_numbers")
+        assert "duration = nan: is not a duration of a run (also wrong: ranges.k, within.x); give at least" in said
     good = data("lint", file)
     assert {one["key"] for one in good["findings"]} == {"duration", "ranges", "within"}
     assert "write mine.py:build" in complaint("lint", "mine.py")
