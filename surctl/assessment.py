@@ -23,7 +23,7 @@ from surctl.verification.verdict import Inapplicable
 
 __all__ = [
     "SATURATED", "Assessment", "Assumption", "ClosedLoop", "Comparison", "Figure", "Line", "Part", "Region", "Subject",
-    "assess", "cost_verdicts",
+    "assess", "cost_verdicts", "step_lines",
 ]  # fmt: skip
 
 # An assessment: every figure and verdict about one subject, in the form that every page, command and status reads
@@ -208,6 +208,11 @@ class Assessment:
         return [line.text for line in self.lines if line.about == "region" and line.rank == 3 and not line.passed]
 
     @property
+    def step_warnings(self) -> list[str]:
+        """The lines about the integration step of runs that are not decided, with their marks."""
+        return [f"{line.mark} {line.text}" for line in self.lines if line.about == _STEP and line.rank == 1]
+
+    @property
     def failures(self) -> list[str]:
         """The texts of the lines that fail."""
         return [line.text for line in self.lines if line.rank == 0]
@@ -315,6 +320,7 @@ def _sorted(lines: Collection[Line]) -> tuple[Line, ...]:
 SATURATED = 0.5
 """Share of time at a limit above which the linear figures do not describe a run."""
 
+_STEP = "run-step"  # `Line.about` of the line about the integration step
 _ROUGH, _DIVERGES = 0.1, 0.9  # error of an integration step, of a mode as a share
 
 _DISK = "all loops at once, at commands or measurements, at the worst corner of the ranges"
@@ -443,6 +449,16 @@ def _text(figure: Figure) -> str:
     return "none" if np.isnan(figure.value) else f"{figure.value:.3g}"
 
 
+def step_lines(system: System, values: Mapping[str, ArrayLike]) -> list[Line]:
+    """Return a line about the integration step of runs if it is too long for a mode of the plant, otherwise none."""
+    error, rate = integration_error(system, values)
+    if error <= _ROUGH:
+        return []
+    text = f"the integration step is too long for a mode of the plant ({rate:.3g} 1/s): drop this mode, "
+    text += f"or give System(substeps={np.ceil(rate * system.dt):g}), at most 1000"
+    return [Line(None if error < _DIVERGES else False, text, _STEP)]
+
+
 class Region(Protocol):
     """A claim about a region of attraction with its verdict, such as `surctl.lyapunov.Solution`."""
 
@@ -528,11 +544,7 @@ class ClosedLoop:
             meaning = cost.meaning or f"{cost.how} over the run"
             figures.append(Figure(f"cost.{name}", value, cost.unit, meaning, "low", cost.at_most))
             lines += cost_verdicts(name, cost, value, duration=record.duration, dt=self.system.dt)
-        error, rate = integration_error(self.system, self.values)
-        if error > _ROUGH:
-            text = f"the integration step is too long for a mode of the plant ({rate:.3g} 1/s): drop this mode, "
-            text += f"or give System(substeps={np.ceil(rate * self.system.dt):g}), at most 1000"
-            lines.append(Line(None if error < _DIVERGES else False, text, "run"))
+        lines += step_lines(self.system, self.values)
         shares = unresponsive(record)
         if shares:
             worst = max(shares, key=lambda name: shares[name])

@@ -198,6 +198,7 @@ def _run_summary(
     infinite = [f"{len(lost)} of {count} runs are not finite: {named}"] * bool(lost)
     lines += infinite
     lines += [f"  in the first of them: {name}" for k in lost[:1] if (name := _lost_number(system, runs, at, k))]
+    steps = dict.fromkeys(text for one in choices.values() for text in one.assessment.step_warnings)
     failures = [f"FAIL for the least {name}: {t}" for name, one in choices.items() for t in one.assessment.failures]
     data = {
         **own.names,
@@ -217,7 +218,7 @@ def _run_summary(
         numbers = [f"{name}={value!r}" for name, value in (row["at"] | row["random"]).items()]
         then = [own.command("simulate", *numbers, "--seconds", f"{duration:g}")]
     return SweepSummary(
-        lines, [head, *best_lines, *failures, *infinite], data,
+        lines, [head, *best_lines, *failures, *infinite, *steps], data,
         passed=bool(best) and all(choice.assessment.accepted() for choice in choices.values()), then=then, files=files,
         pictures={} if table.axes else {("sweep", "runs"): runs.plot},
     )  # fmt: skip

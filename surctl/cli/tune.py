@@ -237,7 +237,8 @@ class _System(Task):
         seconds = f"{duration or 100 * own.system.dt:g}"
         then = [own.command("verify", *numbers), own.command("export", *numbers, "--seconds", seconds)]
         data = {**own.names, "seconds": duration, "costs": costs}
-        return More(data, then, notes=self.request.scores(tuning.result.gains))
+        notes, over = self.request.scores(tuning.result.gains), checked.comparison.after.step_warnings
+        return More(data, then, notes=notes, over=over)
 
 
 def _tuned(

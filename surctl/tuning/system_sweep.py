@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl import __version__
-from surctl.assessment import Assessment, ClosedLoop, Line, assess, cost_verdicts
+from surctl.assessment import Assessment, ClosedLoop, Line, assess, cost_verdicts, step_lines
 from surctl.errors import InputError, SurctlError
 from surctl.recorded_write import Column
 from surctl.system import LOST, Runs, System, entry_labels, entry_units, every_combination, periods, simulate_system
@@ -220,7 +220,8 @@ def chosen_points(
     def assessed(run: int) -> Assessment:
         if run not in judged:
             at, random = run_at(table, run)
-            loop = assess(ClosedLoop(system, {**values, **at, **random}, ranges), parts=["loop"])
+            numbers = {**values, **at, **random}
+            loop = assess(ClosedLoop(system, numbers, ranges), parts=["loop"])
             point, duration = run // table.each, float(durations[run])
             stopped = np.flatnonzero(early[point])[:1] + point * table.each
             why = [f"the run stops after {durations[k]:.6g} s ({ends.reshape(-1)[k]})" for k in stopped]
@@ -228,6 +229,7 @@ def chosen_points(
             for name, cost in system.costs.items():
                 value = float(costs[name][point])
                 lines += cost_verdicts(name, cost, value, duration=duration, dt=system.dt)
+            lines += step_lines(system, numbers)
             judged[run] = loop.with_lines(lines)
         return judged[run]
 

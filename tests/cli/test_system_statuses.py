@@ -131,6 +131,17 @@ def test_a_summary_of_a_sweep_says_at_which_point_a_line_fails(tmp_path: Path, m
     ]  # fmt: skip
 
 
+def test_a_summary_says_that_the_integration_step_is_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    need_compiler()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("SURCTL_VERBOSE", raising=False)
+    fast = '{"speed": f["force"] - 100 * x["speed"]}'
+    Path("mine.py").write_text(FILE.replace('{"speed": f["force"]}', fast))
+    for words in (("simulate",), ("sweep", "k=1,2"), ("tune", "--trials", "2", "--gain", "k=1..2", "--out", "t")):
+        shown = CliRunner().invoke(app, [words[0], "mine.py:good", *words[1:]])
+        assert shown.exit_code == 0 and shown.stdout.count("open the integration step is too long") == 1, shown.stdout
+
+
 def test_a_cost_that_fails_is_shown_once_and_advice_of_the_parser_ends_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
