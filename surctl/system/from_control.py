@@ -318,9 +318,16 @@ def _layout(labels: Sequence[str]) -> Layout:
 
 
 def _identifier(text: str) -> str:
-    letters = (char if char.isascii() else unicodedata.name(char, "_").split()[-1].lower() for char in text.strip())
+    letters = map(_ascii, unicodedata.normalize("NFKD", text.strip()))
     name = re.sub(r"\W+", "_", "".join(letters), flags=re.ASCII).strip("_") or "signal"
     return f"s_{name}" if name[0].isdigit() else name
+
+
+def _ascii(char: str) -> str:
+    # without accents but the dot of a derivative; letters of other alphabets by their names, such as theta
+    if unicodedata.combining(char):
+        return "dot" if char == "\N{COMBINING DOT ABOVE}" else ""
+    return char if char.isascii() else unicodedata.name(char, "_").split(" WITH ")[0].split()[-1].lower()
 
 
 def _name(system: Any) -> str:

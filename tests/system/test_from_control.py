@@ -88,10 +88,22 @@ def test_a_nonlinear_system_runs_as_input_output_response() -> None:
     assert back.dt == 0.1 and back.output(0, np.array([0.5]), np.array([1.0])) == pytest.approx([2.0])
 
 
-def test_greek_letters_become_names() -> None:
+def test_letters_of_other_alphabets_become_names() -> None:
     law = surctl.from_control(control.ss([], [], [], np.eye(2), 0.1, inputs=["θ [rad]", "ψ"], outputs=["τ_1", "τ_2"]))
     assert [port.name for port in law.inputs] == ["theta", "psi"] and next(iter(law.inputs)).unit == "rad"
     assert [port.name for port in law.command] == ["tau_1", "tau_2"]
+    labels = ["pläne", "Øst", "θ̇", "ẋ", "µ", "y₂"]
+    law = surctl.from_control(control.ss([], [], [], np.eye(6), 0.1, inputs=labels, name="straße"))
+    assert [port.name for port in law.inputs] == [
+        "plane",
+        "ost",
+        "thetadot",
+        "xdot",
+        "mu",
+        "y2",
+    ] and law.name == "strase"
+    with pytest.raises(InputError, match="plane: is the name of two ports; rename one of them"):
+        surctl.from_control(control.ss([], [], [], np.eye(2), 0.1, inputs=["pläne", "plane"]))
 
 
 def test_mistakes_are_one_line() -> None:
