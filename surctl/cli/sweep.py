@@ -97,7 +97,7 @@ def _run(job: SweepJob, executor: lib.Executor | None, options: SweepOptions, *,
         "sensitivity": None if sobol is None else sobol.to_dict(),
         "pictures": [str(picture) for picture in pictures],
     }
-    brief = [*(sobol.lines() if sobol is not None else ()), *summary.brief]
+    brief = [*([sobol.headline()] if sobol is not None else []), *summary.brief]
     finish(data, lines, as_json=as_json, passed=summary.passed, then=summary.then, brief=brief, files=where)
 
 

@@ -99,10 +99,18 @@ class SobolIndices(Plotted):
         """Return the indices as plain data for JSON."""
         return asdict(self)
 
+    def headline(self) -> str:
+        """Return all indices without their intervals in one line, the axis with the largest share first."""
+        if self.constant:
+            return f"{self.column} is constant over these ranges: it does not depend on any axis"
+        shares = sorted(zip(self.total, self.first, self.axes, strict=True), reverse=True)
+        shown = ", ".join(f"{name} {alone:.2f} ({total:.2f})" for total, alone, name in shares)
+        return f"{self.column}: share of the variance (with interactions): {shown}"
+
     def lines(self) -> list[str]:
         """Return a headline, and a line of text for each axis."""
         if self.constant:
-            return [f"{self.column} is constant over these ranges: it does not depend on any axis"]
+            return [self.headline()]
         head = (
             f"{self.column}: share of the variance due to each axis, alone and with interactions, with 95 % intervals"
         )

@@ -129,6 +129,10 @@ def test_a_summary_of_a_sweep_says_at_which_point_a_line_fails(tmp_path: Path, m
     assert [line.partition(": slow = ")[0] for line in shown if line.startswith("FAIL")] == [
         "FAIL for the least slow", "FAIL for the least far",
     ]  # fmt: skip
+    words = ["sweep", "mine.py:slow", "k=0.5..1", "start.speed=0.9..1", "--sensitivity", "far", "--points", "16"]
+    shown = CliRunner().invoke(app, words).stdout.splitlines()  # the indices, although two lines fail
+    assert shown[0].startswith("far: share of the variance (with interactions): start.speed 0.")
+    assert ", k 0." in shown[0] and shown[1].startswith("FAIL for the least slow")
 
 
 def test_a_summary_says_that_the_integration_step_is_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
