@@ -22,6 +22,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from decimal import Decimal
 from fractions import Fraction
 from functools import lru_cache
 from itertools import combinations_with_replacement
@@ -276,23 +277,28 @@ def reread(node: Node, names: tuple[str, ...]) -> Node:
 
 
 _LONG_NUMBER = re.compile(r"(?<![\w.])(?=\d*\.)((?:0?\.0*)?[1-9](?:\.?\d){16})\d+(?![\w.])")
+_LONG_FRACTION = re.compile(r"(?<![\w./^])(\d{9,})/(\d{9,})(?![\w.^])")
 
 
 def clipped(text: str, most: int = 400) -> str:
     """Return the text of an expression for a screen: its first characters, and its length if that is more than `most`.
 
-    A long number has the fewest digits that identify it if it is a double; of others, the first 17 stay, with `…`.
+    A long number has the fewest digits that identify it if it is a double; of others, the first 17 stay, with `…`, and
+    a long fraction p/q becomes a decimal with 10 digits and `…`.
 
     Example:
         >>> from surctl.verification.formula.parser import clipped
         >>> clipped("x + y", 3), clipped("0.50000000000000011102230246251565404236316680908203125*x")
         ('x + ... (5 characters)', '0.5000000000000001*x')
+        >>> clipped("(x - 6084722881095501464954147438592/42442463276361393525147138291191)^2"), clipped("2/15")
+        ('(x - 0.1433640371…)^2', '2/15')
     """
 
     def short(number: re.Match[str]) -> str:
         double = float(number[0])
         return repr(double) if Fraction(number[0]) == Fraction(double) else f"{number[1]}…"
 
+    text = _LONG_FRACTION.sub(lambda one: f"{Decimal(one[1]) / Decimal(one[2]):.10g}…", text)
     text = _LONG_NUMBER.sub(short, text)
     return text if len(text) <= most else f"{text[:most]} ... ({len(text)} characters)"
 
