@@ -220,8 +220,7 @@ class _Comparison(Comparison):
         self.excludes += [_MODEL, ROUNDING[self.manifest.real]]
         if sampled:
             self.excludes.append("delay: the command is assumed to act at the instant of its sample")
-            period = self.manifest.period
-            self.excludes.append(f"jitter: each control period is assumed to last exactly {period!r} s")
+            self.excludes.append(f"jitter: each control period is assumed to last exactly {about['period_s']!r} s")
         else:
             self.excludes.insert(0, "sampling: the certificate is about the control law in continuous time")
 

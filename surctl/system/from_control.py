@@ -104,8 +104,7 @@ def from_control(system: Any, controller: Any = None, *, dt: float | None = None
             CasADi expressions, as numpy functions of arrays do; with `controller`, it may be a `Plant`.
         controller: such a system, or a `Controller`, as the controller of the plant `system`.
         dt: control period [s]. A linear controller in continuous time is sampled with it by Tustin's method; a system
-            in discrete time must have this period. Without `controller`, `system` is then taken for a controller, not
-            for a plant: plants stay in continuous time.
+            in discrete time must have this period.
 
     Raises:
         InputError: a plant has no state, or passes inputs directly to outputs; a controller has no control period, or
@@ -318,16 +317,11 @@ def _layout(labels: Sequence[str]) -> Layout:
 
 
 def _identifier(text: str) -> str:
-    letters = map(_ascii, unicodedata.normalize("NFKD", text.strip()))
+    plain = unicodedata.normalize("NFKD", text.strip()).replace("\N{COMBINING DOT ABOVE}", "dot")  # of a derivative
+    plain = re.sub("[\u0300-\u036f]", "", plain)  # other accents
+    letters = (c if c.isascii() else unicodedata.name(c, "_").split(" WITH ")[0].split()[-1].lower() for c in plain)
     name = re.sub(r"\W+", "_", "".join(letters), flags=re.ASCII).strip("_") or "signal"
     return f"s_{name}" if name[0].isdigit() else name
-
-
-def _ascii(char: str) -> str:
-    # without accents but the dot of a derivative; letters of other alphabets by their names, such as theta
-    if unicodedata.combining(char):
-        return "dot" if char == "\N{COMBINING DOT ABOVE}" else ""
-    return char if char.isascii() else unicodedata.name(char, "_").split(" WITH ")[0].split()[-1].lower()
 
 
 def _name(system: Any) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -189,16 +189,18 @@ class System:
                 if str(cost.how) not in get_args(How):
                     remedy = nearest(str(cost.how), get_args(How))
                     raise InputError("is not known", key=f"costs.{name}.how", value=cost.how, remedy=remedy)
-        for name, ends in self.limits.items():
-            with mistakes.collected():
-                _check_limits(name, ends, shown)
         if self.duration is not None:
             with mistakes.collected(), mistakes_in(None, "duration"):
                 periods(self, self.duration)
-        for kind in ("ranges", "within"):
+        for kind in ("limits", "ranges", "within"):
             for name, ends in getattr(self, kind).items():
                 with mistakes.collected():
-                    as_range(ends, key=f"{kind}.{name}")
+                    key = f"{kind}.{name}"
+                    if kind == "limits" and name not in shown:
+                        raise InputError("is no signal of a run", key=key, remedy=nearest(name, sorted(shown)))
+                    low, high = as_range(ends, key=key)
+                    if kind == "limits" and low == high:
+                        raise InputError("is empty", key=key, value=ends, remedy="write such as (-1, 1)")
         for port in self.plant.inputs:
             with mistakes.collected():
                 _connected(port, driving, key=f"{self.plant.name}.inputs", to=to)
@@ -437,14 +439,6 @@ def _connected(port: Port, layout: Layout, *, key: str, to: str) -> None:
         raise InputError(
             f"is in {port.unit}, the {to} in {other.unit}", key=f"{key}.{port.name}", remedy="use one unit for both"
         )
-
-
-def _check_limits(name: str, ends: object, shown: Collection[str]) -> None:
-    if name not in shown:
-        raise InputError("is no signal of a run", key=f"limits.{name}", remedy=nearest(name, sorted(shown)))
-    low, high = as_range(ends, key=f"limits.{name}")
-    if low == high:
-        raise InputError("is empty", key=f"limits.{name}", value=ends, remedy="write such as (-1, 1)")
 
 
 def _check_cost(name: str, cost: object) -> None:

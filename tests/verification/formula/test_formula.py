@@ -8,6 +8,7 @@ from mpmath import mp, mpf
 from surctl.errors import InputError, UnsupportedOperation
 from surctl.verification.formula import from_casadi, number, parse, power, text_of, to_casadi, variable
 from surctl.verification.formula.node import PI
+from surctl.verification.formula.parser import clipped
 from surctl.verification.proving.algebra import Algebra, TooLarge, Written
 from tests.verification.expressions import NAMES, NoValue, TooClose, expressions, worth
 
@@ -143,3 +144,9 @@ def test_a_very_long_sum_is_an_error_and_no_crash() -> None:
 
 def test_numbers_are_exact() -> None:
     assert parse("0.1", {}) == number(Fraction(1, 10))
+
+
+def test_a_long_fraction_is_shown_as_a_decimal() -> None:
+    long = Fraction(6084722881095501464954147438592, 42442463276361393525147138291191)
+    text = text_of(power(variable("x") - number(long), 2) + number(Fraction(2, 15)))
+    assert clipped(text) == "(x - 0.1433640371…)^2 + 2/15"
