@@ -44,6 +44,7 @@ class StudyParts(ABC):
         sil: comparison of C and Python (software in the loop) in each of them.
         report: the written page; None if it could not be drawn or written.
         seconds: computing time [s] of each part.
+        suggestion: sentence that says why the next command has the numbers that it has; may be empty.
     """
 
     command: str = ""
@@ -59,6 +60,7 @@ class StudyParts(ABC):
     sil: tuple[SilReport, ...] = ()
     report: Path | None = None
     seconds: dict[str, float] = field(default_factory=dict)
+    suggestion: str = ""
 
     decided: ClassVar[tuple[str, ...]] = ()
     """Parts of the assessment that must hold; an undecided line of another part is accepted."""

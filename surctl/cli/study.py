@@ -55,7 +55,8 @@ def conduct_study(
     with stoppable(f"what is finished is in {out}; to continue: {same_command()}", study.ran, as_json=as_json):
         lib.conduct_parts(study, out)
     assessment, report, code = study.assessment, study.report, out / "export"
-    head, marked = f"study {study.title}: {study.verdict}", [f"{line.mark} {line.text}" for line in assessment.lines]
+    head = f"study {study.title}: {study.verdict} {study.suggestion * study.passed}".rstrip()
+    marked = [f"{line.mark} {line.text}" for line in assessment.lines]
     lines = [head, *above, *marked, *below(), ""]
     lines += [f"gains  {study.gain_file}"] if study.gain_file else []
     lines += [f"code   {code} ({len(study.files)} files)"] if study.files else []

@@ -87,6 +87,8 @@ class _SystemStudy(StudyParts):
             choices = chosen_points(swept, system, self.values, self.ranges)
             self.best = best_points(swept, system, choices)
             self.best_lines = [best_line(swept, system, name, row, choices[name]) for name, row in self.best.items()]
+            for name in [name for name, row in self.best.items() if row["accepted"]][:1]:
+                self.suggestion = f"Next: least {name}."
 
     @property
     def _loop(self) -> LoopCorners | None:

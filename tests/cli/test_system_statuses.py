@@ -116,6 +116,7 @@ def test_the_next_export_is_the_run_of_the_system_and_a_study_shows_its_region(
         "ok   region of attraction: proved cart (speed -0.99 to 0.99 m/s): sampled every 0.1 s"
     )
     assert len(summary) == 5
+    assert summary[0].endswith(" All that is assessed holds. Next: least slow.")
     assert max(map(len, summary)) <= 100
 
 
