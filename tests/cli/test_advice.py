@@ -115,6 +115,8 @@ def test_a_study_offers_what_changes_its_result() -> None:
     wide = replace(mission, gains=mission.gains.with_values({"margin": margin}))
     assert short.passed is False and assess(wide, parts=["no contact"]).passed
     assert not tunable(short) and tunable(short.with_lines([Line(False, "margins")]))
+    other = assess(replace(mission, law="closed_form"), parts=["no contact"])
+    assert other.passed is None and tunable(other)  # the claim is not about this law
     assert changes(short, "v.toml", None) == changes(assess(wide, parts=["no contact"]), "v.toml", 0.3) == []
 
 

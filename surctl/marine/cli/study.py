@@ -81,9 +81,9 @@ def study(words: tuple[str, ...], out: Path, workers: int, options: _Options, as
     def then() -> list[str]:
         about = at_hand(study.plan.deciding[0].scenario, plan.vehicle, str(study.gain_file))
         cruise = None if plan.derivation is None else plan.derivation.cruise
-        tuning = ["surctl", "tune", *([file] if file else []), *(["--trust"] if options.trust else [])]
-        # a search about missions that the study has made for the vehicle has no study file
-        search = [shlex.join(tuning)] if tunable(study.assessment) and not plan.unheard else []
+        subject = [file] if file else ["--vehicle", vehicle] if vehicle else []
+        tuning = ["surctl", "tune", *subject, *(["--trust"] if options.trust else [])]
+        search = [shlex.join(tuning)] if tunable(study.assessment) else []
         return [*changes(study.assessment, about[3], cruise), *search, shlex.join(_examined(plan, about))]
 
     above = [] if plan.derivation is None else [f"started from {line.strip()}" for line in plan.derivation.lines()]
@@ -104,8 +104,9 @@ def changes(assessment: lib.Assessment, vehicle: str, cruise: float | None) -> l
 def tunable(assessment: lib.Assessment) -> bool:
     """Return whether a search of gains can change the result: a no-contact margin is stated, not searched."""
     contact = assessment.parts.get("no contact")
+    stated = () if contact is None or contact.source is None else contact.lines  # None: not judged for this law
     left = [line for line in assessment.lines if line.counts and line.passed is not True]
-    return not left or any(contact is None or line not in contact.lines for line in left)
+    return not left or any(line not in stated for line in left)
 
 
 def _examined(plan: lib.Plan, about: list[str]) -> list[str]:
