@@ -131,6 +131,7 @@ _PEAKS = 3  # largest number of peaks of the grid that are refined
 _LOW_PEAK = 0.9  # lowest peak that is refined, as a share of the highest
 _SHRINKS = 24
 _EXCESS = 2e-3  # the level for the proof exceeds the highest peak found by this share
+_SINGLE_EXCESS = 1e-5  # the same for one channel, which needs no scaling: the disk margin of this loop alone
 _SWEEPS = 12  # largest number of passes over the channels to balance a matrix
 _LITTLE = 1e-6  # the passes end if they change all squared scalings by at most this share
 _ROUNDS = 40
@@ -202,7 +203,7 @@ def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
     for _ in range(_ROUNDS):
         for omega in open_ends:
             upper, lower, _ = structured_bounds(_sensitivity(closed, np.array([omega]))[0])
-            level = max(level, _level(upper))
+            level = max(level, _level(upper, len(closed.D)))
             if lower > least:
                 least, where = lower, omega
         higher = _uncovered(closed, level)
@@ -226,12 +227,13 @@ def quick_disk_margin(loop: OpenLoop) -> float:
     """
     closed = loop.complementary()
     matrices = (_sensitivity(closed, np.array([omega]))[0] for omega in _peaks_of(closed))
-    return 1 / max(_level(float(np.linalg.norm(d[:, None] * M / d, 2))) for M in matrices for d in (_scaling(M),))
+    peak = max(float(np.linalg.norm(d[:, None] * M / d, 2)) for M in matrices for d in (_scaling(M),))
+    return 1 / _level(peak, len(closed.D))
 
 
-def _level(upper: float) -> float:
+def _level(upper: float, channels: int) -> float:
     # for the proof, above the highest peak found and above μ at ω → ∞
-    return max(upper, 0.5) * (1 + _EXCESS)
+    return max(upper, 0.5) * (1 + (_EXCESS if channels > 1 else _SINGLE_EXCESS))
 
 
 def _peaks_of(closed: OpenLoop) -> list[float]:
