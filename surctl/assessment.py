@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, NotApplicable
 from surctl.system import Cost, Record, System, run_system
-from surctl.system.linear import integration_error, unresponsive
+from surctl.system.linear import too_long_step, unresponsive
 from surctl.system.loop import ENDED
 from surctl.system.values import checked_ranges, run_numbers
 from surctl.verification.linear import LEAST_DISK_MARGIN, margin_text, short_margins
@@ -197,20 +197,14 @@ class Assessment:
             return self.banner
         return f"{'accepted' if self.accepted(*parts) else 'NOT accepted'}: {self.banner}"
 
-    @property
-    def decisive(self) -> list[str]:
-        """The lines that fail or are not decided, with their marks."""
-        return [f"{line.mark} {line.text}" for line in self.lines if line.rank < 2]
+    def decisive(self, about: str = "") -> list[str]:
+        """Return the lines that fail or are not decided, with their marks; `about` selects those about one part."""
+        return [f"{line.mark} {line.text}" for line in self.lines if line.rank < 2 and about in ("", line.about)]
 
     @property
     def caveats(self) -> list[str]:
         """The remarks on what a proved region does not cover: the start of the run."""
         return [line.text for line in self.lines if line.about == "region" and line.rank == 3 and not line.passed]
-
-    @property
-    def step_warnings(self) -> list[str]:
-        """The lines about the integration step of runs that are not decided, with their marks."""
-        return [f"{line.mark} {line.text}" for line in self.lines if line.about == _STEP and line.rank == 1]
 
     @property
     def failures(self) -> list[str]:
@@ -320,8 +314,7 @@ def _sorted(lines: Collection[Line]) -> tuple[Line, ...]:
 SATURATED = 0.5
 """Share of time at a limit above which the linear figures do not describe a run."""
 
-_STEP = "run-step"  # `Line.about` of the line about the integration step
-_ROUGH, _DIVERGES = 0.1, 0.9  # error of an integration step, of a mode as a share
+STEP = "run-step"  # `Line.about` of a line about the integration step
 
 _DISK = "all loops at once, at commands or measurements, at the worst corner of the ranges"
 _DELAY = "least delay margin of one loop alone"
@@ -424,7 +417,7 @@ class Comparison:
             mark = "  worse" if new.worse(old) else ""
             table.append(f"{new.name:<28}{new.unit:<6}{new.required:>10}{_text(old):>12}{_text(new):>12}{mark}")
         better = [f"better than before: {', '.join(self.gained)}"] if self.gained else []
-        return [self.headline, *better, *table, self.after.verdict(), *self.after.decisive]
+        return [self.headline, *better, *table, self.after.verdict(), *self.after.decisive()]
 
     def to_dict(self) -> dict[str, Any]:
         """Return both assessments and the names of the figures that got worse as plain data for JSON."""
@@ -451,12 +444,8 @@ def _text(figure: Figure) -> str:
 
 def step_lines(system: System, values: Mapping[str, ArrayLike]) -> list[Line]:
     """Return a line about the integration step of runs if it is too long for a mode of the plant, otherwise none."""
-    error, rate = integration_error(system, values)
-    if error <= _ROUGH:
-        return []
-    text = f"the integration step is too long for a mode of the plant ({rate:.3g} 1/s): drop this mode, "
-    text += f"or give System(substeps={np.ceil(rate * system.dt):g}), at most 1000"
-    return [Line(None if error < _DIVERGES else False, text, _STEP)]
+    text, diverges = too_long_step(system, values)
+    return [Line(False if diverges else None, text, STEP)] if text else []
 
 
 class Region(Protocol):

@@ -150,7 +150,7 @@ class ExportOptions:
         verdict = f"exported; NOT accepted: {failing}" if failing else f"exported; {assessment.verdict()}"
         first, last = about
         lines = [*first, *(f"{file.sha256[:12]}  {file.path}" for file in files), "", f"replayed: {replayed}", *last]
-        lines += [sil.summary(), *further, verdict, *assessment.decisive]
+        lines += [sil.summary(), *further, verdict, *assessment.decisive()]
         brief = [_sil_line(sil), verdict, *([] if proof is None else [proof.summary()])]
         if report is None:  # the worst line, or the figures of a target, need the room
             brief += [f"replayed: {replayed}"] * assessment.accepted()

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.assessment import Assessment, ClosedLoop, Part, assess, cost_verdicts
+    from surctl.assessment import STEP, Assessment, ClosedLoop, Part, assess, cost_verdicts
     from surctl.certcheck import PATIENCE, check_file
     from surctl.certcheck.belonging import compare
     from surctl.certcheck.bundle import read_bundle

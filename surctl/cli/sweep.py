@@ -198,7 +198,7 @@ def _run_summary(
     infinite = [f"{len(lost)} of {count} runs are not finite: {named}"] * bool(lost)
     lines += infinite
     lines += [f"  in the first of them: {name}" for k in lost[:1] if (name := _lost_number(system, runs, at, k))]
-    steps = dict.fromkeys(text for one in choices.values() for text in one.assessment.step_warnings)
+    steps = dict.fromkeys(text for one in choices.values() for text in one.assessment.decisive(lib.STEP))
     failures = [f"FAIL for the least {name}: {t}" for name, one in choices.items() for t in one.assessment.failures]
     data = {
         **own.names,

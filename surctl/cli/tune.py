@@ -237,7 +237,7 @@ class _System(Task):
         seconds = f"{duration or 100 * own.system.dt:g}"
         then = [own.command("verify", *numbers), own.command("export", *numbers, "--seconds", seconds)]
         data = {**own.names, "seconds": duration, "costs": costs}
-        notes, over = self.request.scores(tuning.result.gains), checked.comparison.after.step_warnings
+        notes, over = self.request.scores(tuning.result.gains), checked.comparison.after.decisive(lib.STEP)
         return More(data, then, notes=notes, over=over)
 
 

@@ -488,18 +488,25 @@ def _state_labels(system: System) -> list[str]:
     return [*entry_labels(system.plant.state), *entry_labels(system.controller.state, "controller "), *memory]
 
 
-def integration_error(system: System, values: Mapping[str, ArrayLike]) -> tuple[float, float]:
-    """Return the largest error of an integration step for a mode of the plant at the start, and the fastest rate [1/s].
+_ROUGH, _DIVERGES = 0.1, 0.9  # error of an integration step, of a mode as a share
 
-    The error is the difference between the factors by which step and plant multiply the mode.
+
+def too_long_step(system: System, values: Mapping[str, ArrayLike]) -> tuple[str, bool]:
+    """Return why the integration step is too long for a mode of the plant at the start, and whether the mode diverges.
+
+    The text is empty if the step is short enough: if the factors by which step and plant multiply a mode are alike.
     """
     numbers, plant = run_numbers(system, values), system.plant
     slopes = _plant_slopes(plant)(numbers.start[0], plant.inputs.pack(), numbers.disturbance[0], numbers.plant[0])
     rates = np.linalg.eigvals(np.nan_to_num(slopes[0].full(), posinf=0.0, neginf=0.0))
     z = rates * system.dt / max(system.substeps, system.blocks.instants)
     with np.errstate(over="ignore", invalid="ignore"):
-        error = np.abs(runge_kutta(lambda mode, _: z * mode, np.ones(z.size), 1.0) - np.exp(z))
-    return float(np.max(error, initial=0.0)), float(np.abs(rates).max(initial=0.0))
+        errors = np.abs(runge_kutta(lambda mode, _: z * mode, np.ones(z.size), 1.0) - np.exp(z))
+    error, rate = float(np.max(errors, initial=0.0)), float(np.abs(rates).max(initial=0.0))
+    if not error > _ROUGH:
+        return "", False
+    text = f"the integration step is too long for a mode of the plant ({rate:.3g} 1/s): drop this mode, "
+    return f"{text}or give System(substeps={np.ceil(rate * system.dt):g}), at most 1000", error >= _DIVERGES
 
 
 def unresponsive(record: Record) -> dict[str, float]:

@@ -160,7 +160,7 @@ def _mission_summary(
         f"  {name}: {lib.METRICS[name].meaning}" for name in _EXPLAINED if sobol is None and name in table.columns
     ]
     for one, verdict in zip(assessments, verdicts, strict=True):
-        lines += ["", verdict, *one.decisive]
+        lines += ["", verdict, *one.decisive()]
     about = shlex.join(at_hand(cases[0].scenario, cases[0].vehicle, str(files.get("gains"))))
     # the claims of `verify` are about parts of the built-in laws
     exported = f"surctl export {about} {shlex.join(law_words(law, cases[0]))} --sensing {sensing}"

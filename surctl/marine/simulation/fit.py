@@ -91,8 +91,8 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
                 text = f"the thrusters give at most {most:.4g} {unit} in {word} without other forces, "
                 remedy = "lower it"
                 if most <= 0:
-                    what, way = "moment" if word == "yaw" else "force", " one way" if max(-low, high) > 0 else ""
-                    text = f"the thrusters give no {what} in {word}{way} without other forces, "
+                    what, side = "moment" if word == "yaw" else "force", " one way" if max(-low, high) > 0 else ""
+                    text = f"the thrusters give no {what} in {word}{side} without other forces, "
                     zero = f'set it to "0 {unit}", or ' if SPECS[key].zero_allowed else ""
                     remedy = f"{zero}add or turn a thruster to give it"
                 if key == name and reverse not in vehicle.parameters and vehicle["Fv_max"] == 0 and -low < high:
