@@ -23,7 +23,7 @@ from surctl.verification.verdict import Inapplicable
 
 __all__ = [
     "SATURATED", "Assessment", "Assumption", "ClosedLoop", "Comparison", "Figure", "Line", "Part", "Region", "Subject",
-    "assess", "cost_verdicts", "step_lines",
+    "assess", "cost_verdicts",
 ]  # fmt: skip
 
 # An assessment: every figure and verdict about one subject, in the form that every page, command and status reads

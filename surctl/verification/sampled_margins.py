@@ -413,7 +413,7 @@ def system_corners(
         >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -4 * u["speed"])
         >>> loop = system_corners(System(cart, hold, ranges={"plant.mass": (1.0, 4.0)}))
         >>> loop.stable, round(loop.nominal.disk, 2), round(loop.disk, 2), loop.corner
-        (True, 1.63, 1.33, 'plant.mass = 1')
+        (True, 1.64, 1.33, 'plant.mass = 1')
     """
     bounds = checked_ranges(system, system.ranges if ranges is None else ranges)
     numbers = dict(values or {})
