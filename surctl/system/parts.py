@@ -18,6 +18,7 @@ Parts: TypeAlias = Mapping[str, ca.SX]
 EMPTY = Layout(())
 _FLOAT = "__float__"
 _UNDEFINED_WITHIN = 1e-12  # of an operand from the point at which an operation has no derivative
+_LARGEST = 1e294  # a run ends as "not finite" if the sum of its numbers is above 1e300
 _DIVERGED = 1e100  # an operand above it is of a loop that diverges, and no mistake of the operation
 
 
@@ -128,11 +129,13 @@ def entry_units(layout: Layout) -> list[str]:
 def not_finite(parts: Iterable[tuple[str, Layout, ArrayLike]]) -> str:
     """Return kind and label of the first entry that is not finite, such as "command force[1]"; "" if there is none.
 
+    A number above `_LARGEST` counts as infinite.
+
     Args:
         parts: kind, layout and values (n,) of vectors.
     """
     for kind, layout, values in parts:
-        lost = np.flatnonzero(~np.isfinite(values))
+        lost = np.flatnonzero(~(np.abs(values) <= _LARGEST))  # NaN compares as false
         if lost.size:
             return f"{kind} {entry_labels(layout)[lost[0]]}"
     return ""

@@ -1,10 +1,10 @@
-"""One run of a system in Python: all signals, the number that is not finite, files as CSV, .mat, netCDF."""
+"""One run of a system: all signals, the number that is not finite, files as CSV, .mat, netCDF."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,16 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.ir import Layout, Port, on_vectors
-from surctl.noise import noise_states
+from surctl.ir import Layout, Port
 from surctl.plotted import Plotted
 from surctl.recorded_write import RECORD_FORMATS, Column, write_csv, write_mat, write_netcdf
 from surctl.system.controller import NONFINITE, lost_entry
 from surctl.system.loop import ENDED, LOST, System, once_per_system, periods
 from surctl.system.parts import entry_labels, entry_units, not_finite, undefined_operation
-from surctl.system.runs import figures_of, first_sums, moved_state, summed
-from surctl.system.sampled import Instant
-from surctl.system.values import run_numbers
+from surctl.system.runs import moved_state, simulate_steps
+from surctl.system.values import RunNumbers, run_numbers
 
 Array = NDArray[np.float64]
 
@@ -116,7 +114,7 @@ class Record(Plotted):
 
 
 def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] | None = None) -> Record:
-    """Simulate one run in Python, without a compiler; the results equal those of `simulate_system` up to rounding.
+    """Simulate one run and record all signals; no compiler is needed, and the results are those of `simulate_system`.
 
     Args:
         seconds: duration of the run [s] unless a stop ends it earlier.
@@ -137,64 +135,48 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
         raise InputError(
             f"are for {numbers.count} runs", key="values", remedy="give the values of one run, or call simulate_system"
         )
-    start, plant, constants, disturbance, gains = (
-        row[0] for row in (numbers.start, numbers.plant, numbers.reference, numbers.disturbance, numbers.gains)
-    )
-    motion, (sense, move, judge) = _functions(system)
-    x, z = start, system.controller.initial_state()
-    q, memory, noise = numbers.blocks[0], system.blocks.memory.pack(), np.zeros(0)
-    if system.blocks.noise:
-        noise = noise_states(numbers.seed)[0]
-    judged: list[Array] = []
-    rows: list[tuple[Array, ...]] = []
-    status: list[int] = []
-    stopped, lost = ENDED, ""
-    for k in range(periods(system, seconds)):
-        t, count = np.array([k * system.dt]), np.array([float(k)])
-        y, u, reference, memory, noise = sense(x, t, plant, constants, disturbance, q, memory, noise, count)
-        step = system.controller.step(z, u, gains)
-        costs, stops = judge(x, step.tau, disturbance, constants, plant, gains, step.telemetry, t, memory)
-        rows.append((x, step.tau, y, reference, np.asarray(step.telemetry), z, u))
-        status.append(step.status)
-        moving = (x, step.tau, t, plant, disturbance, q, memory, noise, count)
-        after, memory, noise = move(*moving)
-        if step.status == NONFINITE or not (np.isfinite(after).all() and np.isfinite(costs).all()):
-            stopped, lost = LOST, _lost(system, k, (z, u, gains), costs, after)
-            law = undefined_operation("law", system.controller.block, (z, u, gains), {2: system.controller.gains})
-            lost += law or undefined_operation("plant", motion, moving, {3: system.plant.parameters})
-            break
-        judged.append(costs)
-        if np.any(stops != 0):
-            stopped = list(system.stops)[int(np.flatnonzero(stops)[0])]
-            break
-        x, z = after, np.asarray(step.x_next)
-    has_costs = stopped != LOST and (stopped == ENDED or len(rows) > 1)
-    sums, times = np.array(first_sums(system)), np.arange(float(len(rows))) * system.dt
-    if has_costs and system.costs:
-        ended = np.zeros(len(rows))
-        ended[-1] = stopped != ENDED
-        sums = _sum(system).fold(len(rows))(sums, np.transpose(judged), times[None], ended[None]).full()[:, 0]
-    tables = [np.array([row[j] for row in rows]) for j in range(7)]
+    at, run = simulate_steps(system, numbers, periods(system, seconds))
+    gains, stopped = numbers.gains[0], str(run.stopped[0])
+    # a step that reads or returns a number that is not finite ends the run, even if all that follows is finite
+    finite = [np.isfinite(at[name]).all(axis=1) for name in _OF_STEP]
+    failed = ~np.logical_and.reduce(finite) | ~np.isfinite(gains).all()
+    lost, figures = "", {name: float(value[0]) for name, value in run.figures.items()}
+    if failed.any() or stopped == LOST:
+        last = int(failed.argmax()) if failed.any() else len(failed) - 1
+        at = {name: values[: last + 1] for name, values in at.items()}
+        if failed.any():
+            at["tau"][last], at["k"][last], at["status"][last] = 0.0, 0.0, NONFINITE
+        stopped, lost, figures = LOST, _lost(system, numbers, at), dict.fromkeys(figures, np.nan)
+    tables = [at[name] for name in ("plant", "tau", "y", "r", "k", "controller")]
     return Record(
         system,
-        times,
+        np.arange(float(len(at["u"]))) * system.dt,
         _named(system, tables),
-        np.array(status),
-        {name: float(value) if has_costs else np.nan for name, value in figures_of(system, sums, len(rows)).items()},
+        at["status"][:, 0].astype(np.int64),
+        figures,
         stopped,
-        (tables[5], tables[6], gains),
+        (at["controller"], at["u"], gains),
         lost,
     )
 
 
-def _lost(system: System, k: int, step: tuple[Array, Array, Array], costs: Array, after: Array) -> str:
-    """Return the first number of control period k that is not finite, and its time."""
-    name = lost_entry(system.controller, *step) or not_finite(
-        [("cost", Layout(tuple(Port(cost, (1,), "1", "") for cost in system.costs)), costs)]
-    )
+_OF_STEP = ("controller", "u", "tau", "x_next", "status", "k")  # arguments and results of the controller's step
+
+
+def _lost(system: System, numbers: RunNumbers, at: Mapping[str, Array]) -> str:
+    """Return the first number that is not finite in the last control period of a run, its time and the cause."""
+    k = len(at["u"]) - 1
+    now, gains = {name: values[k] for name, values in at.items()}, numbers.gains[0]
+    step = now["controller"], now["u"], gains
+    costs = Layout(tuple(Port(cost, (1,), "1", "") for cost in system.costs))
+    name = lost_entry(system.controller, *step) or not_finite([("cost", costs, now["costs"])])
     later = not name  # the plant state at the end of the period
-    name = name or not_finite([("state", system.plant.state, after)])
-    return f"{name} at {(k + later) * system.dt:.6g} s"
+    name = name or not_finite([("state", system.plant.state, now["moved"])])
+    constants = numbers.plant[0], numbers.disturbance[0], numbers.blocks[0]
+    moving = (now["plant"], now["tau"], [k * system.dt], *constants, now["memory"], now["noise"], [float(k)])
+    cause = undefined_operation("law", system.controller.block, step, {2: system.controller.gains})
+    cause = cause or undefined_operation("plant", _motion(system), moving, {3: system.plant.parameters})
+    return f"{name} at {(k + later) * system.dt:.6g} s{cause}"
 
 
 def _named(system: System, tables: list[Array]) -> dict[str, Array]:
@@ -226,30 +208,18 @@ def _places(system: System) -> dict[str, tuple[str, Layout, str]]:
 
 
 @once_per_system
-def _functions(system: System) -> tuple[ca.Function, tuple[Callable[..., list[Array]], ...]]:
-    # plant state after a period; outputs with inputs and references, that state, and costs with stops, on vectors
-    plant, t = system.plant, ca.SX.sym("t")
-    x, p = ca.SX.sym("x", plant.state.size), ca.SX.sym("p", plant.parameters.size)
-    r, d = ca.SX.sym("r", system.references.size), ca.SX.sym("d", plant.disturbances.size)
-    command = ca.SX.sym("command", system.commands.size)
-    q, memory = ca.SX.sym("q", system.blocks.parameters.size), ca.SX.sym("memory", system.blocks.memory.size)
-    noise, count = ca.SX.sym("noise", system.blocks.noise), ca.SX.sym("count")
-    late, reference = system.disturbance_at(t, d), system.reference_at(t, r)
-    after = system.sensed(Instant(x, late, p, q, count), memory, noise)
-    y = system.held(plant.measurement(x, late, p), after[0])
-    results = [y, system.inputs_of(y, reference), reference, *after]
-    sense = ca.Function("sense", [x, t, p, r, d, q, memory, noise, count], results)
+def _motion(system: System) -> ca.Function:
+    # the plant state after a period
+    plant, blocks = system.plant, system.blocks
+    sizes = {
+        "x": plant.state.size, "command": system.commands.size, "t": 1, "p": plant.parameters.size,
+        "d": plant.disturbances.size, "q": blocks.parameters.size, "memory": blocks.memory.size,
+        "noise": blocks.noise, "count": 1,
+    }  # fmt: skip
+    x, command, t, p, d, q, memory, noise, count = symbols = [ca.SX.sym(name, n) for name, n in sizes.items()]
     constants = {"plant": p, "disturbance": d, "blocks": q}
     moved = moved_state(system, x, command, constants, t, count=count, memory=memory, noise=noise)
-    move = ca.Function("move", [x, command, t, p, d, q, memory, noise, count], list(moved))
-    return move, (on_vectors(sense), on_vectors(move), on_vectors(system.signals))
-
-
-@once_per_system
-def _sum(system: System) -> ca.Function:
-    sums, costs = ca.SX.sym("sums", len(system.costs)), ca.SX.sym("costs", len(system.costs))
-    t, ended = ca.SX.sym("t"), ca.SX.sym("ended")
-    return ca.Function("sum", [sums, costs, t, ended], [summed(system, sums, costs, t, ended)])
+    return ca.Function("move", symbols, list(moved))
 
 
 # Write a recorded run of a system as CSV, MATLAB's .mat or netCDF, with names, units and identity

@@ -1,4 +1,4 @@
-"""Many runs of a system in compiled code: integration, costs, why and when each run ends."""
+"""Runs of a system: many at once in compiled code, or one with all its numbers; costs, why and when each run ends."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ from surctl.plotted import Plotted
 from surctl.system.loop import ENDED, LOST, System, once_per_system, periods
 from surctl.system.plant import runge_kutta
 from surctl.system.sampled import Instant
-from surctl.system.values import run_numbers
+from surctl.system.values import RunNumbers, run_numbers
 
 Array = NDArray[np.float64]
 
 _FINITE = 1e300  # numbers with a larger absolute value count as infinite
 _FIRST = MappingProxyType({"max": -np.inf, "min": np.inf})
+_TOGETHER = 500  # largest number of control periods in one call of CasADi's virtual machine
+_RECORDED = ("y", "u", "r", "memory", "noise", "tau", "x_next", "status", "k", "moved", "costs")
 
 
 @dataclass(frozen=True)
@@ -125,19 +127,57 @@ def simulate_system(
         array([2.1, 1. , 0.4])
     """
     steps = periods(system, seconds)
-    numbers = run_numbers(system, values)
+    start, constants = _begun(system, run_numbers(system, values))
+    ends, _ = final_states(
+        start, constants, steps=steps, compiled=lambda: _compiled(system), machine=lambda: _machine(system),
+        engine=engine, threads=threads,
+    )  # fmt: skip
+    return _ended(system, ends)
+
+
+def simulate_steps(system: System, numbers: RunNumbers, steps: int) -> tuple[dict[str, Array], Runs]:
+    """Simulate one run with CasADi's virtual machine; return all its numbers at its n control instants, and its end.
+
+    The numbers are arrays (n, size): plant state `plant` and controller state `controller` at the instant, measured
+    outputs `y`, inputs of the controller `u`, references `r`, memory of the sampled blocks and state of the noise
+    generator after they are measured, `memory` and `noise`, the results of the controller's step, `tau`, `x_next`,
+    `status` and `k` (telemetry), and the costs and the plant state at the end of the period, `costs` and `moved`.
+
+    Args:
+        numbers: those of one run.
+        steps: largest number of control periods.
+    """
+    state, _ = _layouts(system)
+    (start,), (constants,) = _begun(system, numbers)
+    period, states = _recorder(system), [start[:, None]]
+    tables: list[list[Array]] = []
+    while (left := steps - _TOGETHER * len(tables)) > 0 and states[-1][0, -1] == 0:
+        after, *table = (part.full() for part in period.mapaccum(min(left, _TOGETHER))(states[-1][:, -1], constants))
+        states.append(after)
+        tables.append(table)
+    whole = np.hstack(states)
+    stays = whole[0, 1:] != 0
+    count = int(stays.argmax()) + 1 if stays.any() else stays.size
+    at = {name: np.hstack(parts)[:, :count].T for name, parts in zip(_RECORDED, zip(*tables, strict=True), strict=True)}
+    at |= {name: whole[state.slice(name), :count].T for name in ("plant", "controller")}
+    return at, _ended(system, whole[:, count][None])
+
+
+def _begun(system: System, numbers: RunNumbers) -> tuple[Array, Array]:
+    """Return states and parameters (runs, n) at the start of runs."""
     state, _ = _layouts(system)
     start = np.tile(state.pack({"controller": system.controller.initial_state()}), (numbers.count, 1))
     start[:, state.slice("plant")] = numbers.start
     start[:, state.slice("memory")] = system.blocks.memory.pack()
     if system.blocks.noise:
         start[:, state.slice("noise")] = noise_states(numbers.seed)
-    start[:, state.slice("sums")] = first_sums(system)
-    constants = np.hstack([numbers.plant, numbers.reference, numbers.disturbance, numbers.gains, numbers.blocks])
-    ends, _ = final_states(
-        start, constants, steps=steps, compiled=lambda: _compiled(system), machine=lambda: _machine(system),
-        engine=engine, threads=threads,
-    )  # fmt: skip
+    start[:, state.slice("sums")] = [_FIRST.get(cost.how, 0.0) for cost in system.costs.values()]
+    return start, np.hstack([numbers.plant, numbers.reference, numbers.disturbance, numbers.gains, numbers.blocks])
+
+
+def _ended(system: System, ends: Array) -> Runs:
+    """Return the results of runs from their states (runs, n) at the end."""
+    state, _ = _layouts(system)
     flag = ends[:, 0]
     count = ends[:, state.slice("count").start]
     reasons = np.array([ENDED, *system.stops, LOST])
@@ -145,14 +185,17 @@ def simulate_system(
     sums = ends[:, state.slice("sums")]
     moved = count - (flag != 0)
     none = (flag < 0) | (moved == 0)
-    figures = {name: np.where(none, np.nan, value) for name, value in figures_of(system, sums, count).items()}
+    figures = {}
+    for j, (name, cost) in enumerate(system.costs.items()):
+        value = sums[:, j] / (np.maximum(count, 1) if cost.how in ("mean", "rms") else 1.0)
+        figures[name] = np.where(none, np.nan, np.sqrt(value) if cost.how == "rms" else value)
     return Runs(figures, reasons[code], moved * system.dt, ends[:, state.slice("plant")])
 
 
-def _loop_step(system: System) -> Block:
+def _loop_step(system: System, *, recorded: bool = False) -> Block:
     """Return a program or routine that computes the state of a run after one control period.
 
-    Its arguments are the state and the parameters of the run.
+    Its arguments are the state and the parameters of the run. If `recorded`, it also returns the arrays `_RECORDED`.
     """
     plant, controller = system.plant, system.controller
     state, parameters = _layouts(system)
@@ -165,7 +208,7 @@ def _loop_step(system: System) -> Block:
     memory, noise = system.sensed(Instant(x, d, p, q, now["count"]), now["memory"], now["noise"])
     inputs = {
         "x": now["controller"], "u": system.inputs_of(system.held(y, memory), reference), "p": constants["gains"],
-        "memory": memory, "noise": noise,
+        "memory": memory, "noise": noise, **({"y": system.held(y, memory), "r": reference} if recorded else {}),
     }  # fmt: skip
     before = lower_named("measure", {"s": s, "w": w}, inputs)
     sizes = (system.commands.size, controller.state.size, 1, system.telemetry.size)
@@ -196,16 +239,18 @@ def _loop_step(system: System) -> Block:
                 "controller": ca.if_else(stays, now["controller"], outputs["x_next"]),
                 "memory": memory,
                 "noise": noise,
-                "sums": summed(system, now["sums"], costs, t, stays),
+                "sums": _summed(system, now["sums"], costs, t, stays),
             }
         )
-        move = recording.block("move", {"s": s, "w": w, **outputs, **carried}, {"s_next": after})
+        results = {"s_next": after, **({"moved": moved, "costs": costs} if recorded else {})}
+        move = recording.block("move", {"s": s, "w": w, **outputs, **carried}, results)
     steps = (
-        Call(before, ("s", "w"), ("x", "u", "p", *carried)),
+        Call(before, ("s", "w"), tuple(inputs)),
         Call(controller.block, ("x", "u", "p"), tuple(outputs)),
-        Call(move, ("s", "w", *outputs, *carried), ("s_next",)),
+        Call(move, ("s", "w", *outputs, *carried), tuple(results)),
     )
-    return Routine("period", (("s", state.size), ("w", parameters.size)), steps, ("s_next",))
+    arrays = ("s_next", *(_RECORDED if recorded else ()))
+    return Routine("period", (("s", state.size), ("w", parameters.size)), steps, arrays)
 
 
 def _layouts(system: System) -> tuple[Layout, Layout]:
@@ -277,12 +322,7 @@ def _integrated(system: System, x: ca.SX, f: ca.SX, constants: Mapping[str, ca.S
     return moved
 
 
-def first_sums(system: System) -> list[float]:
-    """Return the number of each cost from which `summed` begins."""
-    return [_FIRST.get(cost.how, 0.0) for cost in system.costs.values()]
-
-
-def summed(system: System, sums: ca.SX, costs: ca.SX, t: ca.SX, ended: ca.SX) -> ca.SX:
+def _summed(system: System, sums: ca.SX, costs: ca.SX, t: ca.SX, ended: ca.SX) -> ca.SX:
     """Return the number of each cost after one more control instant t [s]; `ended`: no period follows it."""
     after = []
     for k, cost in enumerate(system.costs.values()):
@@ -301,15 +341,6 @@ def summed(system: System, sums: ca.SX, costs: ca.SX, t: ca.SX, ended: ca.SX) ->
     return ca.vertcat(ca.SX(0, 1), *after)
 
 
-def figures_of(system: System, sums: Array, count: Array | float) -> dict[str, Array]:
-    """Return the value of each cost by name after `count` control instants, from the numbers (..., costs) then."""
-    figures = {}
-    for j, (name, cost) in enumerate(system.costs.items()):
-        value = sums[..., j] / (np.maximum(count, 1) if cost.how in ("mean", "rms") else 1.0)
-        figures[name] = np.sqrt(value) if cost.how == "rms" else value
-    return figures
-
-
 @once_per_system
 def loop_program(system: System) -> Block:
     """Return what `simulate_system` compiles; its digest identifies all computations of a run, costs and stops too."""
@@ -319,6 +350,11 @@ def loop_program(system: System) -> Block:
 @once_per_system
 def _machine(system: System) -> ca.Function:
     return to_casadi(_loop_step(system))
+
+
+@once_per_system
+def _recorder(system: System) -> ca.Function:
+    return to_casadi(_loop_step(system, recorded=True))
 
 
 @once_per_system

@@ -87,7 +87,8 @@ def test_what_is_no_longer_finite_ends_the_run_where_it_happens() -> None:
             "command u[1] at 0.4 s, because of sqrt(-0.05) of the law",
         ),
         (lambda u: [0, 0], lambda t: ca.sqrt(0.35 - t), "input t at 0.4 s"),
-        (lambda u: [1e300, 1e300], lambda t: 1.0, "cost square at 0.1 s"),
+        (lambda u: [1e200, 1e200], lambda t: 1.0, "cost square at 0.1 s"),
+        (lambda u: [0, 1e300], lambda t: 1.0, "command u[1] at 0 s"),
     ],
 )
 def test_the_number_that_is_not_finite_is_named(law: Any, at: Any, lost: str) -> None:
