@@ -6,14 +6,14 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, NotApplicable
 from surctl.system import Cost, Record, System, run_system
-from surctl.system.linear import too_long_step, unresponsive
+from surctl.system.linear import idle_commands, unresponsive
 from surctl.system.loop import ENDED
 from surctl.system.values import checked_ranges, run_numbers
 from surctl.verification.linear import LEAST_DISK_MARGIN, margin_text, short_margins
@@ -21,8 +21,11 @@ from surctl.verification.loops import LEAST_DELAY_MARGIN
 from surctl.verification.sampled_margins import LoopCorners, system_corners
 from surctl.verification.verdict import Inapplicable
 
+if TYPE_CHECKING:
+    from surctl.lyapunov import Solution
+
 __all__ = [
-    "SATURATED", "Assessment", "Assumption", "ClosedLoop", "Comparison", "Figure", "Line", "Part", "Region", "Subject",
+    "SATURATED", "Assessment", "Assumption", "ClosedLoop", "Comparison", "Figure", "Line", "Part", "Subject",
     "assess", "cost_verdicts",
 ]  # fmt: skip
 
@@ -315,6 +318,7 @@ SATURATED = 0.5
 """Share of time at a limit above which the linear figures do not describe a run."""
 
 STEP = "run-step"  # `Line.about` of a line about the integration step
+_WRONG = 0.5  # `Record.step_error` of a run that is an artefact of the integration
 
 _DISK = "all loops at once, at commands or measurements, at the worst corner of the ranges"
 _DELAY = "least delay margin of one loop alone"
@@ -442,36 +446,9 @@ def _text(figure: Figure) -> str:
     return "none" if np.isnan(figure.value) else f"{figure.value:.3g}"
 
 
-def step_lines(system: System, values: Mapping[str, ArrayLike]) -> list[Line]:
-    """Return a line about the integration step of runs if it is too long for a mode of the plant, otherwise none."""
-    text, diverges = too_long_step(system, values)
-    return [Line(False if diverges else None, text, STEP)] if text else []
-
-
-class Region(Protocol):
-    """A claim about a region of attraction with its verdict, such as `surctl.lyapunov.Solution`."""
-
-    @property
-    def falsified(self) -> float | None:
-        """Return the least level at which a counterexample is known."""
-
-    @property
-    def verdict(self) -> Literal["proved", "refuted", "unknown"]:
-        """Return the verdict."""
-
-    @property
-    def vacuous(self) -> str:
-        """Why the proved claim says nothing; empty if it says something."""
-
-    @property
-    def level(self) -> float | None:
-        """Return the level of the claim; None if it has none."""
-
-    def lines(self) -> list[str]:
-        """Return lines that state the claim."""
-
-    def value(self, state: ArrayLike) -> float:
-        """Return the function of the proved region at a state of plant and controller, see `Solution.value`."""
+def step_lines(record: Record) -> list[Line]:
+    """Return a line about the integration step of a run if it is too long, otherwise none."""
+    return [Line(None if record.step_error < _WRONG else False, record.rough, STEP)] if record.rough else []
 
 
 @dataclass(frozen=True, eq=False)
@@ -492,7 +469,7 @@ class ClosedLoop:
     ranges: Mapping[str, tuple[float, float]] | None = None
     record: Record | None = None
     seconds: float | None = None
-    region: Callable[[], Region] | None = None
+    region: Callable[[], Solution] | None = None
 
     @property
     def name(self) -> str:
@@ -514,6 +491,9 @@ class ClosedLoop:
         figures = loop_figures(corners, least_delay=self.system.dt)  # a command may be applied one period late
         unstable = f": the largest pole is |z| = {np.abs(corners.nominal.poles).max(initial=0.0):.6g}"
         line = loop_line(figures, stable=corners.stable, place=_REST, unstable=unstable, marginal=corners.marginal)
+        if line.passed and (idle := idle_commands(self.system, corners.nominal.linear)):
+            why = f"{', '.join(idle)} does not respond there (at a limit, or in a dead zone), so its loop is open"
+            line = Line(None, f"{line.text}; {why}", "margins")
         if corners.lost:
             line = Line(False, f"the loop has no equilibrium at the corner {corners.corner}", "margins")
         return Part(tuple(figures.values()), (line,), corners)
@@ -533,7 +513,7 @@ class ClosedLoop:
             meaning = cost.meaning or f"{cost.how} over the run"
             figures.append(Figure(f"cost.{name}", value, cost.unit, meaning, "low", cost.at_most))
             lines += cost_verdicts(name, cost, value, duration=record.duration, dt=self.system.dt)
-        lines += step_lines(self.system, self.values)
+        lines += step_lines(record)
         shares = unresponsive(record)
         if shares:
             worst = max(shares, key=lambda name: shares[name])
@@ -553,7 +533,7 @@ class ClosedLoop:
             text = f"region of attraction of {reason.to}: not assessed, because {reason.because}"
             return Part((), (Line(None, text, "region"),), Inapplicable.of("region of attraction", reason))
         proved = solution.verdict == "proved" and not solution.vacuous
-        passed = True if proved else False if solution.verdict == "refuted" else None
+        passed = (None if solution.fallback else True) if proved else False if solution.verdict == "refuted" else None
         line = Line(passed, f"region of attraction: {' '.join(solution.lines()[0].split())}", "region")
         if (level := solution.level) is None:
             return Part((), (line,), solution)
@@ -562,11 +542,11 @@ class ClosedLoop:
         figures, lines = [Figure("region_share", share, "1", meaning, "high")], [line]
         start = run_numbers(self.system, self.values).start[0] if proved else []
         if proved and not np.isnan(value := solution.value([*start, *self.system.controller.initial_state()])):
-            inside = value < level
+            inside, covered = value < level, value < level and solution.sampled
             at = f"at V = {value:.4g}, {'inside' if inside else 'outside'} the region (V < {level:.4g})"
             at = at if np.isfinite(value) else "outside the box of the proof"
-            text = f"the run starts {at}: {'the proof covers it' if inside else 'simulated, not proved'}"
-            lines.append(Line(inside or None, text, "region", counts=False))
+            text = f"the run starts {at}: {'the proof covers it' if covered else 'simulated, not proved'}"
+            lines.append(Line(covered or None, text, "region", counts=False))
             figures.append(Figure("start_share", value / level, "1", "V at the start of the run over the level", None))
         return Part(tuple(figures), tuple(lines), solution)
 

@@ -13,12 +13,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, ToolMissing
-from surctl.ir.cache import quick_flags
-from surctl.ir.native import compile_block
+from surctl.errors import InputError
+from surctl.ir.native import runnable
 from surctl.ir.procedure import Dual, Procedure
 from surctl.ir.program import LIBM, Program
-from surctl.ir.replay import Arrays, replay, run_routine
+from surctl.ir.replay import Arrays, run_routine
 from surctl.ir.routine import Block, Feed, Routine, nested
 
 # `binary` itself: for `a + b` CasADi first tries every other kind of argument, for ten times as long
@@ -118,10 +117,7 @@ class _Executed(ca.Callback):
 
     @cached_property
     def _values(self) -> Callable[..., list[Any]]:
-        try:
-            return compile_block(self.procedure, flags=quick_flags())
-        except ToolMissing:
-            return partial(replay, self.procedure)
+        return runnable(self.procedure, quick=True)
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[Any]:
         split = len(self.procedure.inputs)

@@ -120,6 +120,12 @@ class Solution:
         return self.decision is not None and isinstance(self.decision.claim, SampledStability)
 
     @property
+    def fallback(self) -> bool:
+        """Whether the claim is about the law in continuous time, because none about the sampled loop is proved."""
+        stated = self.problem.dynamics.sampling is None or self.problem.function or self.problem.level
+        return self.decision is not None and self.about.startswith(NOT_COVERED) and not stated
+
+    @property
     def about(self) -> str:
         """What the claim is about, and what it does not cover."""
         return HELD_COMMANDS if self.sampled else self.problem.dynamics.source
@@ -133,8 +139,7 @@ class Solution:
         """Return the lines that state the solution: verdict and claim, what the claim is about, reason."""
         name, decision = self.problem.dynamics.name, self.decision
         if decision is not None and self.about.startswith(NOT_COVERED):
-            stated = self.problem.dynamics.sampling is None or self.problem.function or self.problem.level
-            remedy = "" if stated else " (try to prove the sampled loop: smaller box or shorter control period)"
+            remedy = " (try to prove the sampled loop: smaller box or shorter control period)" * self.fallback
             name += f", law in continuous time, without sampling{remedy}"
         then = [f"  a region is proved with {self.instead}"] if self.instead else []
         if decision is None:

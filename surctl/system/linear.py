@@ -20,7 +20,7 @@ from surctl.system.controller import Controller, SampledController
 from surctl.system.linear_loop import LinearLoop, LoopNames, held_plant
 from surctl.system.loop import System, once_per_system
 from surctl.system.parts import entry_labels, entry_units, undefined_operation
-from surctl.system.plant import Plant, runge_kutta
+from surctl.system.plant import Plant
 from surctl.system.record import Record
 from surctl.system.sampled import Instant
 from surctl.system.values import RunNumbers, run_numbers
@@ -488,27 +488,6 @@ def _state_labels(system: System) -> list[str]:
     return [*entry_labels(system.plant.state), *entry_labels(system.controller.state, "controller "), *memory]
 
 
-_ROUGH, _DIVERGES = 0.1, 0.9  # error of an integration step, of a mode as a share
-
-
-def too_long_step(system: System, values: Mapping[str, ArrayLike]) -> tuple[str, bool]:
-    """Return why the integration step is too long for a mode of the plant at the start, and whether the mode diverges.
-
-    The text is empty if the step is short enough: if the factors by which step and plant multiply a mode are alike.
-    """
-    numbers, plant = run_numbers(system, values), system.plant
-    slopes = _plant_slopes(plant)(numbers.start[0], plant.inputs.pack(), numbers.disturbance[0], numbers.plant[0])
-    rates = np.linalg.eigvals(np.nan_to_num(slopes[0].full(), posinf=0.0, neginf=0.0))
-    z = rates * system.dt / max(system.substeps, system.blocks.instants)
-    with np.errstate(over="ignore", invalid="ignore"):
-        errors = np.abs(runge_kutta(lambda mode, _: z * mode, np.ones(z.size), 1.0) - np.exp(z))
-    error, rate = float(np.max(errors, initial=0.0)), float(np.abs(rates).max(initial=0.0))
-    if not error > _ROUGH:
-        return "", False
-    text = f"the integration step is too long for a mode of the plant ({rate:.3g} 1/s): drop this mode, "
-    return f"{text}or give System(substeps={np.ceil(rate * system.dt):g}), at most 1000", error >= _DIVERGES
-
-
 def unresponsive(record: Record) -> dict[str, float]:
     """Return, by label of the command, the share of a run's control instants at which it does not respond.
 
@@ -524,6 +503,14 @@ def unresponsive(record: Record) -> dict[str, float]:
         slopes, depends = _slopes(record.system)
         sizes = np.array(slopes.map(len(u))(z.T, u.T, np.tile(gains[:, None], len(u))))
     return {name: float(np.mean(row == 0.0)) for name, row, acts in zip(labels, sizes, depends, strict=True) if acts}
+
+
+def idle_commands(system: System, loop: LinearLoop) -> list[str]:
+    """Return the labels of the commands that do not respond at the point of a linear loop, see `unresponsive`."""
+    blocks = nested(system.controller.block).values()
+    depends = any(isinstance(inner, Procedure) for inner in blocks) or np.array(_slopes(system)[1])
+    still = ~np.any(np.hstack(loop.law[3:]), axis=1) & depends
+    return [label for label, idle in zip(entry_labels(system.commands), still, strict=True) if idle]
 
 
 def _changes(run: Callable[..., list[Array]], z: Array, u: Array, gains: Array) -> Array:

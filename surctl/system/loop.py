@@ -211,7 +211,6 @@ class System:
         mistakes.check()
         self._warn_of_misspelt_inputs()
         self._check_compiles()
-        _ = self.signals  # a metric that cannot be computed is reported here
 
     @cached_property
     def commands(self) -> Layout:
@@ -291,18 +290,6 @@ class System:
             signals = self.plant.measurements.split(self.plant.measurement(at.x, at.d, at.p)) | signals
         behind, memory, noise = self.blocks.sampled("actuators", at, signals, memory, noise)
         return self.plant.inputs.join({port.name: behind[port.name] for port in self.plant.inputs}), memory, noise
-
-    @cached_property
-    def signals(self) -> ca.Function:
-        """Return a CasADi function that computes all costs (m,) and stops (n,) at one control instant.
-
-        The arguments are x, command, d, r, p, g, k and t, with the meaning that they have in `Signals`, and the memory
-        b of all blocks.
-        """
-        symbols = self._symbols()
-        return ca.Function(
-            "signals", list(symbols.values()), list(self.evaluated(**symbols)), list(symbols), ["costs", "stops"]
-        )
 
     def _symbols(self) -> dict[str, ca.SX]:
         sizes = {

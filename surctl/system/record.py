@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 
 _REST = 1e-9  # smallest change of a state that counts
 _NAMED = 3  # largest number of names in a message
+_ROUGH, _FINE = 0.01, 1e-3  # change of a state by a step of half the length, as a share of its range: too large, aim
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +46,9 @@ class Record(Plotted):
             inputs), and gains (gains,).
         lost: for a run that ended as "not finite", the first number that is not finite, its time and the cause, if it
             is found, such as "state x[0] at 1.2 s, because of 2/0 of the plant (mass = 0)"; otherwise empty.
+        step_error: largest change of a state at the end of a control period by steps of integration of half the length,
+            as a share of the range of the state in the run.
+        rough: where that is more than 1 %, and what to give; otherwise empty.
     """
 
     PLOT = "surctl.report.system_plots:plot_record"
@@ -57,6 +61,8 @@ class Record(Plotted):
     stopped: str
     controller: tuple[Array, Array, Array]
     lost: str = ""
+    step_error: float = 0.0
+    rough: str = ""
 
     def __getitem__(self, name: str) -> Array | float:
         known: dict[str, Array | float] = {**self.figures, **self.signals}
@@ -157,10 +163,31 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
         stopped,
         (at["controller"], at["u"], gains),
         lost,
+        *_rough(system, at, lost=bool(lost)),
     )
 
 
 _OF_STEP = ("controller", "u", "tau", "x_next", "status", "k")  # arguments and results of the controller's step
+
+
+def _rough(system: System, at: Mapping[str, Array], *, lost: bool) -> tuple[float, str]:
+    """Return the error of the integration step of a run, and where it is too large, see `Record`."""
+    moved, finer, before = at["moved"], at["finer"], at["plant"]
+    known = np.isfinite(finer)
+    low, high = (each.accumulate(np.where(known, finer, before)) for each in (np.fmin, np.fmax))
+    with np.errstate(all="ignore"):
+        span = np.maximum(high, before[0]) - np.minimum(low, before[0])
+        span = np.maximum(span if lost else span[-1:], _REST)  # a run that is lost may end far away
+        change = np.where(known, np.nan_to_num(np.abs(moved - finer) / span, nan=1.0, posinf=1.0), 0.0)
+    k, error = int(np.argmax(change.max(axis=1) > _ROUGH)), float(change.max())
+    i = int(change[k].argmax())
+    if error <= _ROUGH:
+        return error, ""
+    steps = np.ceil(2 * system.substeps * (min(error, 1.0) / _FINE) ** 0.25)  # the method is of fourth order
+    name, unit = entry_labels(system.plant.state)[i], entry_units(system.plant.state)[i]
+    text = f"the integration step is too long at {k * system.dt:.6g} s: after one control period, it gives {name} = "
+    text += f"{moved[k, i]:.4g}, and half of it {finer[k, i]:.4g} {unit}; "
+    return error, f"{text}give System(substeps={min(steps, 1000):g}), at most 1000"
 
 
 def _lost(system: System, numbers: RunNumbers, at: Mapping[str, Array]) -> str:
@@ -218,7 +245,7 @@ def _motion(system: System) -> ca.Function:
     }  # fmt: skip
     x, command, t, p, d, q, memory, noise, count = symbols = [ca.SX.sym(name, n) for name, n in sizes.items()]
     constants = {"plant": p, "disturbance": d, "blocks": q}
-    moved = moved_state(system, x, command, constants, t, count=count, memory=memory, noise=noise)
+    moved = moved_state(system, x, command, constants, t, count, memory, noise)
     return ca.Function("move", symbols, list(moved))
 
 

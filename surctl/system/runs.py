@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import Literal, get_args
 
@@ -28,7 +29,7 @@ Array = NDArray[np.float64]
 _FINITE = 1e300  # numbers with a larger absolute value count as infinite
 _FIRST = MappingProxyType({"max": -np.inf, "min": np.inf})
 _TOGETHER = 500  # largest number of control periods in one call of CasADi's virtual machine
-_RECORDED = ("y", "u", "r", "memory", "noise", "tau", "x_next", "status", "k", "moved", "costs")
+_RECORDED = ("y", "u", "r", "memory", "noise", "tau", "x_next", "status", "k", "costs", "moved", "finer")
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,8 @@ def simulate_steps(system: System, numbers: RunNumbers, steps: int) -> tuple[dic
     The numbers are arrays (n, size): plant state `plant` and controller state `controller` at the instant, measured
     outputs `y`, inputs of the controller `u`, references `r`, memory of the sampled blocks and state of the noise
     generator after they are measured, `memory` and `noise`, the results of the controller's step, `tau`, `x_next`,
-    `status` and `k` (telemetry), and the costs and the plant state at the end of the period, `costs` and `moved`.
+    `status` and `k` (telemetry), the `costs`, and the plant state at the end of the period, `moved`, and with steps of
+    integration that are half as long, `finer`.
 
     Args:
         numbers: those of one run.
@@ -213,22 +215,19 @@ def _loop_step(system: System, *, recorded: bool = False) -> Block:
     before = lower_named("measure", {"s": s, "w": w}, inputs)
     sizes = (system.commands.size, controller.state.size, 1, system.telemetry.size)
     outputs = {name: ca.SX.sym(name, n) for name, n in zip(("tau", "x_next", "status", "k"), sizes, strict=True)}
-    carried = {
-        "memory": ca.SX.sym("memory", state.port("memory").size),
-        "noise": ca.SX.sym("noise", system.blocks.noise),
-    }
+    carried = {name: ca.SX.sym(name, state.port(name).size) for name in ("memory", "noise")}
     with Recording() as recording:
-        moved, memory, noise = moved_state(
-            system, now["plant"], outputs["tau"], constants, t, count=now["count"], **carried
-        )
+        tau = outputs["tau"]
+        advanced = partial(moved_state, system, x, tau, constants, t, now["count"], carried["memory"], carried["noise"])
+        moved, memory, noise = advanced()
         costs, stops = system.evaluated(
-            x=now["plant"], f=outputs["tau"], d=constants["disturbance"], r=constants["reference"],
-            p=constants["plant"], g=constants["gains"], k=outputs["k"], t=t, b=carried["memory"],
+            x=x, f=tau, d=constants["disturbance"], r=constants["reference"], p=p, g=constants["gains"],
+            k=outputs["k"], t=t, b=carried["memory"],
         )  # fmt: skip
         ended = ca.SX(0)
         for k in range(stops.numel(), 0, -1):
             ended = ca.if_else(stops[k - 1] != 0, k, ended)
-        size = ca.fabs(ca.vertcat(moved, memory, outputs["tau"], outputs["x_next"], costs))
+        size = ca.fabs(ca.vertcat(moved, memory, tau, outputs["x_next"], costs))
         ended = ca.if_else(ca.sum1(size) <= _FINITE, ended, -1)  # NaN compares as false
         stays = ended != 0
         after = state.join(
@@ -242,7 +241,9 @@ def _loop_step(system: System, *, recorded: bool = False) -> Block:
                 "sums": _summed(system, now["sums"], costs, t, stays),
             }
         )
-        results = {"s_next": after, **({"moved": moved, "costs": costs} if recorded else {})}
+        results = {"s_next": after}
+        if recorded:
+            results |= {"costs": costs, "moved": moved, "finer": advanced(parts=2)[0]}
         move = recording.block("move", {"s": s, "w": w, **outputs, **carried}, results)
     steps = (
         Call(before, ("s", "w"), tuple(inputs)),
@@ -280,15 +281,17 @@ def moved_state(
     command: ca.SX,
     constants: Mapping[str, ca.SX],
     t: ca.SX,
-    *,
     count: ca.SX,
     memory: ca.SX,
     noise: ca.SX,
+    *,
+    parts: int = 1,
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Return plant state, memory of the sampled blocks and noise generator's state one control period later.
 
     The command is constant from `t` [s] on, `constants` are the numbers `plant`, `disturbance` and `blocks` of a run,
-    flat, and `count` is the number of the control period. Memory and noise are those after `System.sensed`.
+    flat, and `count` is the number of the control period. Memory and noise are those after `System.sensed`. Each step
+    of integration is divided into `parts`.
     """
     instants, p, q = system.blocks.instants, constants["plant"], constants["blocks"]
     for k in range(instants):
@@ -297,17 +300,19 @@ def moved_state(
         if k:
             memory, noise = system.sensed(at, memory, noise)
         f, memory, noise = system.driven(command, at, memory, noise)
-        x = _integrated(system, x, f, constants, t, late)
+        x = _integrated(system, x, f, constants, t, late, parts)
     return x, memory, noise
 
 
-def _integrated(system: System, x: ca.SX, f: ca.SX, constants: Mapping[str, ca.SX], t: ca.SX, late: float) -> ca.SX:
+def _integrated(
+    system: System, x: ca.SX, f: ca.SX, constants: Mapping[str, ca.SX], t: ca.SX, late: float, parts: int
+) -> ca.SX:
     """Return the plant state at the next instant, by fourth-order Runge-Kutta steps with constant inputs f.
 
     `late` is the time [s] from the beginning t of the control period to the instant.
     """
     instants = system.blocks.instants
-    steps = -(-system.substeps // instants)
+    steps = parts * -(-system.substeps // instants)
     h = system.dt / (steps * instants)
 
     def derivative(state: ca.SX, late: ca.SX) -> ca.SX:

@@ -15,7 +15,17 @@ from surctl import __version__
 from surctl.assessment import Assessment, ClosedLoop, Line, assess, cost_verdicts, step_lines
 from surctl.errors import InputError, SurctlError
 from surctl.recorded_write import Column
-from surctl.system import LOST, Runs, System, entry_labels, entry_units, every_combination, periods, simulate_system
+from surctl.system import (
+    LOST,
+    Runs,
+    System,
+    entry_labels,
+    entry_units,
+    every_combination,
+    periods,
+    run_system,
+    simulate_system,
+)
 from surctl.system.loop import ENDED
 from surctl.system.record import identity
 from surctl.system.runs import loop_program
@@ -177,6 +187,7 @@ def run_at(table: SweepTable, run: int) -> tuple[dict[str, float], dict[str, flo
     return table.at(table.index(point)), random
 
 
+_REPEATED = 20_000  # largest number of control periods of a run that is repeated with all its numbers
 _JUDGED = 16  # points of a cost whose linear loop is judged, the least cost first
 
 
@@ -229,7 +240,8 @@ def chosen_points(
             for name, cost in system.costs.items():
                 value = float(costs[name][point])
                 lines += cost_verdicts(name, cost, value, duration=duration, dt=system.dt)
-            lines += step_lines(system, numbers)
+            seconds = np.clip(duration, system.dt, _REPEATED * system.dt)
+            lines += step_lines(run_system(system, float(seconds), numbers))
             judged[run] = loop.with_lines(lines)
         return judged[run]
 

@@ -135,7 +135,7 @@ def test_a_marginal_loop_is_open_and_names_its_states_and_a_run_at_rest_judges_n
 def test_a_claimed_region_counts_by_its_verdict(verdict: str, vacuous: str, passed: bool | None) -> None:
     claim = SimpleNamespace(
         verdict=verdict, vacuous=vacuous, level=2.0, falsified=8.0, lines=lambda: [f"{verdict} it"],
-        value=lambda state: 3.0,
+        value=lambda state: 3.0, sampled=True, fallback=False,
     )  # fmt: skip
     result = assess(ClosedLoop(pendulum(), region=lambda: claim))
     outside = "the run starts at V = 3, outside the region (V < 2): simulated, not proved"
@@ -172,3 +172,32 @@ def test_what_is_said_at_the_worst_corner_is_computed_there() -> None:
 def test_a_wrong_range_is_named(ranges, problem: str) -> None:
     with pytest.raises(InputError, match=problem):
         assess(ClosedLoop(replace(pendulum(), ranges=ranges)))
+
+
+def test_a_step_that_is_too_long_along_the_run_is_found_there() -> None:
+    x, u = Port("x", (1,), "m", "", 0.0), Port("u", (1,), "m/s", "")
+    # slow at the start, 200/s from x = 1 on
+    cell = Plant("cell", Layout((x,)), Layout((u,)), lambda s, f, d, p: {"x": f["u"] - 200 * ca.fmax(s["x"] - 1, 0)})
+    law = Controller("push", 0.1, Layout((x,)), Layout((u,)), lambda z, u, p: 5 - 0.1 * u["x"])
+    record = run_system(System(cell, law), 2.0)
+    assert record.rough.startswith("the integration step is too long at 0.2 s: after one control period, it gives x = ")
+    lines = assess(ClosedLoop(System(cell, law), record=record), parts=["run"]).lines
+    assert [line.passed for line in lines if line.text == record.rough] == [None]
+    needed = int(record.rough.split("substeps=")[1].split(")")[0])
+    finer = run_system(System(cell, law, substeps=needed), 2.0)
+    exact = run_system(System(cell, law, substeps=1000), 2.0)
+    assert not finer.rough and np.abs(finer["x"] - exact["x"]).max() < 0.01 * np.ptp(exact["x"])
+
+
+def test_a_command_at_its_limit_opens_the_loop() -> None:
+    x, u, wind = Port("x", (1,), "m", ""), Port("u", (1,), "N", ""), Port("wind", (1,), "N", "")
+    boat = Plant(
+        "boat", Layout((x,)), Layout((u,)), lambda s, f, d, p: {"x": f["u"] + d["wind"] - 0.1 * s["x"]},
+        disturbances=Layout((wind,)),
+    )  # fmt: skip
+    law = Controller("hold", 0.1, Layout((x,)), Layout((u,)), lambda z, u, p: ca.fmax(-1, ca.fmin(1, -2 * u["x"])))
+    free, held = (assess(ClosedLoop(System(boat, law), {"disturbance.wind": push})) for push in (0.5, 5.0))
+    assert free.accepted("loop") and not held.accepted("loop") and held.passed is None
+    assert held.lines[0].text.endswith(
+        "; u does not respond there (at a limit, or in a dead zone), so its loop is open"
+    )
