@@ -209,15 +209,22 @@ class Controller:
         Raises:
             InputError: the size of a vector differs from its layout.
         """
-        vectors = [as_numbers(v, key=name).reshape(-1) for v, name in zip((x, u, p), "xup", strict=True)]
-        for vector, layout, name in zip(vectors, (self.state, self.inputs, self.gains), "xup", strict=True):
-            if vector.size != layout.size:
-                raise InputError(f"has {vector.size} numbers, expected {layout.size}", key=f"{self.name}.{name}")
-        return finite_step(self, self._run, *vectors)
+        return finite_step(self, self._run, *step_vectors(self, x, u, p))
 
     @cached_property
     def _run(self) -> Callable[..., list[Vector]]:
         return runnable(self.block)
+
+
+def step_vectors(controller: SampledController, x: Any, u: Any, p: Any) -> list[Vector]:
+    """Return the arguments of a step as vectors of the sizes of their layouts, or raise InputError."""
+    vectors, layouts = [], (controller.state, controller.inputs, controller.gains)
+    for name, layout, value in zip("xup", layouts, (x, u, p), strict=True):
+        key = f"{controller.name}.{name}"
+        vectors.append(as_numbers(value, key=key).reshape(-1))
+        if vectors[-1].size != layout.size:
+            raise InputError(f"has {vectors[-1].size} numbers, expected {layout.size}", key=key)
+    return vectors
 
 
 def finite_step(

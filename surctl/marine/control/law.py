@@ -29,7 +29,7 @@ from surctl.marine.vehicle import Actuators
 from surctl.marine.vehicle.thruster_file import axis_limits
 from surctl.priority import Fallback, Level, Mode, PriorityProblem, PrioritySolution, Row, solve
 from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
-from surctl.system.controller import NONFINITE, ControllerStep
+from surctl.system.controller import ControllerStep, finite_step, step_vectors
 
 Vector: TypeAlias = NDArray[np.float64]
 
@@ -161,14 +161,7 @@ class Law:
         Raises:
             InputError: a vector does not have the size of its layout.
         """
-        x, u, p = self._vectors(x, u, p)
-        if not (np.isfinite(x).all() and np.isfinite(u).all() and np.isfinite(p).all()):
-            return self._fail_safe(x)
-        parts = self._run(x, u, p)
-        if not all(np.isfinite(part).all() for part in parts):
-            return self._fail_safe(x)
-        tau, x_next, status, telemetry = parts
-        return ControllerStep(tau, x_next, int(status[0]), telemetry)
+        return finite_step(self, self._run, *step_vectors(self, x, u, p))
 
     @cached_property
     def _run(self) -> Callable[[Vector, Vector, Vector], list[Vector]]:
@@ -200,7 +193,7 @@ class Law:
         Raises:
             InputError: a vector does not have the size of its layout, or the problem contains a non-finite number.
         """
-        x, u, p = self._vectors(x, u, p)
+        x, u, p = step_vectors(self, x, u, p)
         if self.base is not None:
             return self.base.problem(x, u[: self.base.inputs.size], p)
         if self.perception is not None:
@@ -229,7 +222,7 @@ class Law:
         Raises:
             InputError: a vector does not have the size of its layout.
         """
-        x, u, p = self._vectors(x, u, p)
+        x, u, p = step_vectors(self, x, u, p)
         if self.base is not None:
             return self.base.decision_inputs(x, u[: self.base.inputs.size], p)
         if self.perception is None:
@@ -247,20 +240,6 @@ class Law:
         if self.fallback != "exact":
             raise InputError("is not explained", key="fallback", value=self.fallback, remedy="use the exact fallback")
         return solve(self.problem(x, u, p), mode=self.mode)
-
-    def _vectors(self, *vectors: Vector) -> list[Vector]:
-        flat = []
-        for vector, layout, name in zip(vectors, (self.state, self.inputs, self.gains), "xup", strict=True):
-            array = np.asarray(vector)
-            if array.size != layout.size or array.dtype.kind not in "fiu":
-                problem = f"is an array of shape {array.shape} and type {array.dtype}"
-                remedy = f"give {layout.size} real numbers in the order of its layout"
-                raise InputError(problem, key=f"{self.name}.{name}", remedy=remedy)
-            flat.append(array.astype(float, copy=False).reshape(-1))
-        return flat
-
-    def _fail_safe(self, x: Vector) -> ControllerStep:
-        return ControllerStep(np.zeros(4), np.array(x, dtype=float), NONFINITE, np.zeros(self.outputs.size - 4))
 
 
 # A law with allocation: the law's thrust command is distributed to the thrusters of the vehicle.
