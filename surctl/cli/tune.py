@@ -109,7 +109,7 @@ def _search(task: Task, options: TuneOptions, *, as_json: bool) -> None:
     (tuning, checked), unmet = tuned, tuned.unmet
     warning = ""
     if unmet:
-        warning = f"HARD GOALS NOT MET ({', '.join(unmet)}): best gains found, but do not use them on a vehicle"
+        warning = f"HARD GOALS NOT MET ({', '.join(unmet)}): best gains found, but do not use them"
     comparison = checked.comparison
     accepted, verdict = not unmet and comparison.after.accepted(), [comparison.after.verdict()]
     verdict = verdict * (not comparison.after.accepted())

@@ -216,7 +216,7 @@ def held_parameters(dynamics: Dynamics) -> tuple[str, str]:
     held = [m for m, one in zip(middle, alone, strict=True) if not replace(still, parameters=one).rests()] or middle
     values = {p.typed or p.name: f"{p.lower if p.nominal is None else p.nominal:.6g}" for p in held}
     words = " ".join(f"{name}={value}..{value}" for name, value in values.items())
-    words += f" (the proof then holds for {'this value' if len(held) == 1 else 'these values'} only)"
+    words += f" or a narrower range (the proof then holds for {'this' if len(held) == 1 else 'these'} only)"
     return ", ".join(values), f"give {words}"
 
 

@@ -279,7 +279,7 @@ def solve(
     if tried:
         reason += f"; not proved either: {'; '.join(tried)}"
     if not instead:
-        reason += f"; the time limit was {time_limit:g} s of processor time"
+        reason += f"; the search may take {time_limit:g} s of processor time"
     seconds = solution.seconds + time.perf_counter() - began
     return replace(solution, reason=reason, instead=instead, seconds=seconds)
 
@@ -318,7 +318,7 @@ def _solved(
     )
     verdict: Literal["proved", "unknown"] = "proved" if barrier.verdict == "proved" else "unknown"
     tried = ", ".join(barrier.tried) or "at the samples, no polynomial of degree 4 or lower meets the conditions"
-    limit = f"the time limit was {time_limit:g} s of processor time"
+    limit = f"the search may take {time_limit:g} s of processor time"
     reason = "" if verdict == "proved" else f"no barrier was found: {tried}; {limit}"
     seconds = time.perf_counter() - began
     return Solution(problem, verdict, reason, barrier.decision, None, "linear program over samples", seconds)

@@ -72,7 +72,7 @@ def test_a_hard_goal_that_cannot_be_met_ends_with_1_and_is_named(tmp_path):
     assert done.json["conflict"] == ["keep clear"]
     assert not done.json["accepted"] and done.json["unmet"] == ["keep clear"]
     head = (tmp_path / "surctl-out" / "gains.toml").read_text().splitlines()[0]
-    assert head == "# HARD GOALS NOT MET (keep clear): best gains found, but do not use them on a vehicle"
+    assert head == "# HARD GOALS NOT MET (keep clear): best gains found, but do not use them"
     # the log has no score, the miss has its run, and the next command shows this run
     search = done.err.partition("searching for the demands")[0]  # with the least margins as goals
     assert "best score" not in search and "fewest violated: 1 of 3 (keep clear)" in search
