@@ -287,6 +287,9 @@ def test_numbers_in_another_unit_are_found(tmp_path: Path) -> None:
     )
     assert far.level == "warning" and far.key == "thruster.rudder.at_m" and "beyond 3 hull radii" in far.text
     assert radians.key == "thruster.rudder.fin.limit_deg" and "looks like radians: 30°?" in radians.text
+    cat = _read(tmp_path, LEFT, RIGHT, base=BARE)
+    light, *_ = thruster_findings(cat.with_values({"m44": 1e-4 * cat["m44"]}))  # kg cm^2
+    assert light.key == "inertia.m44" and light.text.endswith("times m11 radius^2: check the units of these three")
 
 
 def test_what_the_plant_leaves_out_is_said() -> None:

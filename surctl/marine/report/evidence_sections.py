@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from contextlib import suppress
 from pathlib import Path
 
 from surctl.errors import InputError
@@ -163,30 +164,18 @@ def _counterexample_table(v: Verdict, counterexample: Counterexample) -> Table:
 
 
 def _counterexample_pictures(v: Verdict, command: str) -> tuple[Picture, ...]:
-    pictures = []
-    if v.claim.motion is not None:
-        pictures.append(
-            picture(
-                plot_counterexample(v),
-                alt=f"Replay of the counterexample to {v.claim.name}: {v.claim.motion.name} over time",
-                caption=f"Replay from the counterexample: {v.claim.motion.name} violates the bound of the claim.",
-                command=command,
-            )
-        )
-    try:
+    motion, plots = v.claim.motion, []
+    if motion is not None:
+        alt = f"Replay of the counterexample to {v.claim.name}: {motion.name} over time"
+        caption = f"Replay from the counterexample: {motion.name} violates the bound of the claim."
+        plots.append((plot_counterexample(v), alt, caption))
+    with suppress(InputError):  # a claim in one variable has no plane to plot
         cut = margin_slice(v)
-    except InputError:  # a claim in one variable has no plane to plot
-        return tuple(pictures)
-    names = f"{cut.one.name} and {cut.other.name}"
-    pictures.append(
-        picture(
-            plot_slice(cut),
-            alt=f"Margin of {v.claim.name} over {names} through the counterexample",
-            caption=f"Region in which the claim fails over {names}; all other variables as in the counterexample.",
-            command=command,
-        )
-    )
-    return tuple(pictures)
+        names = f"{cut.one.name} and {cut.other.name}"
+        alt = f"Margin of {v.claim.name} over {names} through the counterexample"
+        caption = f"Region in which the claim fails over {names}; all other variables as in the counterexample."
+        plots.append((plot_slice(cut), alt, caption))
+    return tuple(picture(plot, alt=alt, caption=caption, command=command) for plot, alt, caption in plots)
 
 
 def decisive_section(data: ReportData) -> Section | None:

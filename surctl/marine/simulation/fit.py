@@ -68,6 +68,7 @@ def _tilt(scenario: Scenario, vehicle: Vehicle) -> Iterator[Finding]:
 _LIMITS = {"Fu_max": "surge", "Fv_max": "sway", "Fw_max": "heave", "Fr_max": "yaw"}
 _SLACK = 1e-6
 _HULLS, _LEAST_DEG = 3.0, 1.0  # farthest thruster in hull radii, least deflection [deg] of a fin in earnest
+_LIGHTEST = 0.01  # least plausible yaw inertia over m11 radius^2; the largest is its reciprocal
 
 
 def thruster_findings(vehicle: Vehicle) -> list[Finding]:
@@ -78,7 +79,7 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
     force whose allocation keeps yaw may lose surge force while it turns: this is said as information. Fins have the
     limits of the speed `Vehicle.speed`.
     """
-    results = list(_drag(vehicle))
+    results = [*_drag(vehicle), *_inertia(vehicle)]
     if vehicle.actuators is None:
         return results
     results += [*_odd(vehicle), *_not_simulated(vehicle)]
@@ -128,6 +129,13 @@ def _drag(vehicle: Vehicle) -> Iterator[Finding]:
         f"2 sqrt(Yv Nr) = {bound:.4g} N s. If these are not published numbers, check signs and units of Yr and Nv"
     )
     yield Finding("info", "drag.Yr" if abs(yaw) >= abs(sway) else "drag.Nv", text)
+
+
+def _inertia(vehicle: Vehicle) -> Iterator[Finding]:
+    share = vehicle["m44"] / (vehicle["m11"] * vehicle["radius"] ** 2)  # 0.2 to 1 for most craft
+    if not _LIGHTEST < share < 1 / _LIGHTEST:
+        text = f"m44 = {vehicle['m44']:.3g} kg m^2 is {share:.2g} times m11 radius^2: check the units of these three"
+        yield Finding("warning", "inertia.m44", text)
 
 
 def _odd(vehicle: Vehicle) -> Iterator[Finding]:
