@@ -318,7 +318,6 @@ SATURATED = 0.5
 """Share of time at a limit above which the linear figures do not describe a run."""
 
 STEP = "run-step"  # `Line.about` of a line about the integration step
-_WRONG = 0.5  # `Record.step_error` of a run that is an artefact of the integration
 
 _DISK = "all loops at once, at commands or measurements, at the worst corner of the ranges"
 _DELAY = "least delay margin of one loop alone"
@@ -448,7 +447,7 @@ def _text(figure: Figure) -> str:
 
 def step_lines(record: Record) -> list[Line]:
     """Return a line about the integration step of a run if it is too long, otherwise none."""
-    return [Line(None if record.step_error < _WRONG else False, record.rough, STEP)] if record.rough else []
+    return [Line(None, record.rough, STEP)] if record.rough else []
 
 
 @dataclass(frozen=True, eq=False)
@@ -491,8 +490,11 @@ class ClosedLoop:
         figures = loop_figures(corners, least_delay=self.system.dt)  # a command may be applied one period late
         unstable = f": the largest pole is |z| = {np.abs(corners.nominal.poles).max(initial=0.0):.6g}"
         line = loop_line(figures, stable=corners.stable, place=_REST, unstable=unstable, marginal=corners.marginal)
-        if line.passed and (idle := idle_commands(self.system, corners.nominal.linear)):
-            why = f"{', '.join(idle)} does not respond there (at a limit, or in a dead zone), so its loop is open"
+        loops = (corners.nominal, corners.worst)
+        if line.passed and (idle := {name for loop in loops for name in idle_commands(self.system, loop.linear)}):
+            why = (
+                f"{', '.join(sorted(idle))} does not respond there (at a limit, or in a dead zone), so its loop is open"
+            )
             line = Line(None, f"{line.text}; {why}", "margins")
         if corners.lost:
             line = Line(False, f"the loop has no equilibrium at the corner {corners.corner}", "margins")

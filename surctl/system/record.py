@@ -46,9 +46,8 @@ class Record(Plotted):
             inputs), and gains (gains,).
         lost: for a run that ended as "not finite", the first number that is not finite, its time and the cause, if it
             is found, such as "state x[0] at 1.2 s, because of 2/0 of the plant (mass = 0)"; otherwise empty.
-        step_error: largest change of a state at the end of a control period by steps of integration of half the length,
-            as a share of the range of the state in the run.
-        rough: where that is more than 1 %, and what to give; otherwise empty.
+        rough: where the integration step is too long, and what to give; empty if steps of half the length change no
+            state at the end of a control period by more than 1 % of its range in the run.
     """
 
     PLOT = "surctl.report.system_plots:plot_record"
@@ -61,7 +60,6 @@ class Record(Plotted):
     stopped: str
     controller: tuple[Array, Array, Array]
     lost: str = ""
-    step_error: float = 0.0
     rough: str = ""
 
     def __getitem__(self, name: str) -> Array | float:
@@ -163,31 +161,33 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
         stopped,
         (at["controller"], at["u"], gains),
         lost,
-        *_rough(system, at, lost=bool(lost)),
+        _rough(system, at, stopped),
     )
 
 
 _OF_STEP = ("controller", "u", "tau", "x_next", "status", "k")  # arguments and results of the controller's step
 
 
-def _rough(system: System, at: Mapping[str, Array], *, lost: bool) -> tuple[float, str]:
-    """Return the error of the integration step of a run, and where it is too large, see `Record`."""
+def _rough(system: System, at: Mapping[str, Array], stopped: str) -> str:
+    """Return `Record.rough`."""
     moved, finer, before = at["moved"], at["finer"], at["plant"]
     known = np.isfinite(finer)
     low, high = (each.accumulate(np.where(known, finer, before)) for each in (np.fmin, np.fmax))
     with np.errstate(all="ignore"):
         span = np.maximum(high, before[0]) - np.minimum(low, before[0])
-        span = np.maximum(span if lost else span[-1:], _REST)  # a run that is lost may end far away
+        least = _REST * np.maximum(1.0, np.abs(before[0]))  # above the rounding of a place such as 6e6 m
+        span = np.maximum(span if stopped == LOST else span[-1:], least)  # a run that is lost may end far away
         change = np.where(known, np.nan_to_num(np.abs(moved - finer) / span, nan=1.0, posinf=1.0), 0.0)
-    k, error = int(np.argmax(change.max(axis=1) > _ROUGH)), float(change.max())
+    change[-1] *= stopped in (ENDED, LOST)  # no period follows a stop
+    if not change.max() > _ROUGH:
+        return ""
+    k = int(np.argmax(change.max(axis=1) > _ROUGH))
     i = int(change[k].argmax())
-    if error <= _ROUGH:
-        return error, ""
-    steps = np.ceil(2 * system.substeps * (min(error, 1.0) / _FINE) ** 0.25)  # the method is of fourth order
+    steps = np.ceil(2 * system.substeps * (min(change.max(), 1.0) / _FINE) ** 0.25)  # the method is of fourth order
     name, unit = entry_labels(system.plant.state)[i], entry_units(system.plant.state)[i]
     text = f"the integration step is too long at {k * system.dt:.6g} s: after one control period, it gives {name} = "
     text += f"{moved[k, i]:.4g}, and half of it {finer[k, i]:.4g} {unit}; "
-    return error, f"{text}give System(substeps={min(steps, 1000):g}), at most 1000"
+    return f"{text}give System(substeps={min(steps, 1000):g}), at most 1000"
 
 
 def _lost(system: System, numbers: RunNumbers, at: Mapping[str, Array]) -> str:
@@ -198,7 +198,7 @@ def _lost(system: System, numbers: RunNumbers, at: Mapping[str, Array]) -> str:
     costs = Layout(tuple(Port(cost, (1,), "1", "") for cost in system.costs))
     name = lost_entry(system.controller, *step) or not_finite([("cost", costs, now["costs"])])
     later = not name  # the plant state at the end of the period
-    name = name or not_finite([("state", system.plant.state, now["moved"])])
+    name = name or not_finite([("state", system.plant.state, now["moved"])]) or "memory of a sensor or an actuator"
     constants = numbers.plant[0], numbers.disturbance[0], numbers.blocks[0]
     moving = (now["plant"], now["tau"], [k * system.dt], *constants, now["memory"], now["noise"], [float(k)])
     cause = undefined_operation("law", system.controller.block, step, {2: system.controller.gains})

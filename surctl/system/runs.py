@@ -153,7 +153,7 @@ def simulate_steps(system: System, numbers: RunNumbers, steps: int) -> tuple[dic
     (start,), (constants,) = _begun(system, numbers)
     period, states = _recorder(system), [start[:, None]]
     tables: list[list[Array]] = []
-    while (left := steps - _TOGETHER * len(tables)) > 0 and states[-1][0, -1] == 0:
+    while (left := steps - _TOGETHER * len(tables)) > 0 and not states[-1][0].any():
         after, *table = (part.full() for part in period.mapaccum(min(left, _TOGETHER))(states[-1][:, -1], constants))
         states.append(after)
         tables.append(table)

@@ -117,7 +117,7 @@ def test_a_mode_too_fast_for_the_integration_step_is_named(pole: float, long: bo
         y, integral = exact * y + (1 - exact) * (integral + 0.025 * error), integral + 0.05 * error
     end = float(run_system(system, 8.0, {"reference.ref_y": 1.0})["y"][-1, 0])
     assert (abs(end - y) < 1e-4) is not long
-    assert (done.passed is False) is (abs(end) > 2.0)  # a run that only the integration makes diverge
+    assert done.passed is (None if long else True)
     enough = replace(system, substeps=int(named[0].text.split("substeps=")[1].split(")")[0]) if named else 10)
     assert run_system(enough, 8.0, {"reference.ref_y": 1.0})["y"][-1, 0] == pytest.approx(y, abs=2e-3)
 

@@ -114,6 +114,19 @@ def test_a_run_that_is_stopped_counts_no_period_after_the_stop() -> None:
         assert np.isnan(runs[name][1]) and np.isnan(records[1].figures[name]) and not np.isnan(runs[name][0])
 
 
+def test_a_recorded_run_ends_at_a_stop_that_holds_at_one_instant_only() -> None:
+    for instants in (3, 700):  # CasADi computes at most 500 periods at once
+        system = replace(pendulum(), stops={"here": lambda s, t=instants * 0.01: ca.fabs(s.t - t) < 1e-6})
+        record = run_system(system, 20.0)
+        assert record.stopped == "here" and len(record.time) == instants + 1
+        whole = run_system(pendulum(), 20.0)
+        for name in ("angle", "rate", "torque"):
+            np.testing.assert_array_equal(record[name], whole[name][: instants + 1])
+        z, u, gains = whole.controller
+        steps = [whole.system.controller.step(z[k], u[k], gains) for k in range(instants)]
+        np.testing.assert_array_equal(whole["torque"][:instants, 0], [step.tau[0] for step in steps])
+
+
 def test_every_combination_is_one_run() -> None:
     runs = every_combination({"k": [1, 2], "q": [[5, 6]]}, {"start.x": [0.1, 0.2, 0.3], "plant.m": 3.0})
     assert runs["k"].tolist() == [1, 1, 1, 2, 2, 2] and runs["start.x"].tolist() == [0.1, 0.2, 0.3] * 2
