@@ -210,14 +210,10 @@ def manifest_with(
     binaries: Mapping[str, bytes] | None = None,
 ) -> str:
     """Return the text of the manifest `table`, with the hashes of all files, the outcome of the proof and a seal."""
-    hashes = {file: _sha256(text) for file, text in files.items()}
-    hashes |= {file: hashlib.sha256(data).hexdigest() for file, data in (binaries or {}).items()}
+    contents = {file: text.encode() for file, text in files.items()} | dict(binaries or {})
+    hashes = {file: hashlib.sha256(data).hexdigest() for file, data in contents.items()}
     full = {"format_version": FORMAT_VERSION, **table, "proof": proof, "sha256": hashes}
     return json.dumps({**full, "seal": manifest_seal(full)}, indent=2, sort_keys=True) + "\n"
-
-
-def _sha256(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def write_bundle(bundle: Bundle, directory: Path | str) -> list[ExportedFile]:
@@ -240,15 +236,17 @@ def write_bundle(bundle: Bundle, directory: Path | str) -> list[ExportedFile]:
     """
     target = Path(directory)
     staging = target.parent / f".{target.name}.{os.getpid()}.tmp"
+    contents = {**{name: text.encode() for name, text in bundle.files.items()}, **bundle.binaries}
     try:
         with writing(target):
-            _stage(bundle, staging)
+            staging.mkdir(parents=True)
+            for name, data in contents.items():
+                (staging / name).parent.mkdir(parents=True, exist_ok=True)
+                (staging / name).write_bytes(data)
             _publish(bundle, staging, target)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
-    written = [ExportedFile(target / name, _sha256(text)) for name, text in bundle.files.items()]
-    more = [ExportedFile(target / name, hashlib.sha256(data).hexdigest()) for name, data in bundle.binaries.items()]
-    return [*written, *more]
+    return [ExportedFile(target / name, hashlib.sha256(data).hexdigest()) for name, data in contents.items()]
 
 
 def check_folder(directory: Path | str) -> None:
@@ -263,14 +261,6 @@ def check_folder(directory: Path | str) -> None:
                 (target / staging.name).rmdir()
     finally:
         shutil.rmtree(staging, ignore_errors=True)
-
-
-def _stage(bundle: Bundle, staging: Path) -> None:
-    staging.mkdir(parents=True)
-    contents = {**{name: text.encode() for name, text in bundle.files.items()}, **bundle.binaries}
-    for name, data in contents.items():
-        (staging / name).parent.mkdir(parents=True, exist_ok=True)
-        (staging / name).write_bytes(data)
 
 
 def _publish(bundle: Bundle, staging: Path, target: Path) -> None:

@@ -419,15 +419,11 @@ def stack_from_report(report: str, text: str, entry: str) -> int:
     for where, size, _ in rows:
         function = where.rsplit(":", 1)[-1].split(".")[0]
         frames[function] = frames.get(function, 0) + int(size)
-    callees = _callees(text)
-    check_known(entry, callees, "is not a function of the compiled C", key="entry")
-    return _deepest(entry, callees, frames, {})
-
-
-def _callees(text: str) -> dict[str, set[str]]:
     functions = _FUNCTION.findall(text)
     names = {name for name, _ in functions}
-    return {name: set(_CALL.findall(body)) & names for name, body in functions}
+    callees = {name: set(_CALL.findall(body)) & names for name, body in functions}
+    check_known(entry, callees, "is not a function of the compiled C", key="entry")
+    return _deepest(entry, callees, frames, {})
 
 
 def _deepest(function: str, callees: dict[str, set[str]], frames: dict[str, int], known: dict[str, int]) -> int:

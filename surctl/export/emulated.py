@@ -70,22 +70,17 @@ class Target:
         return (*self.flags, "--specs=rdimon.specs", "-nostartfiles", f"-T{folder / 'target.ld'}")
 
 
-def _here() -> list[Target]:
-    native = ("-O3", "-march=native") if platform.machine().lower() in ("x86_64", "amd64") else ("-O3",)
-    targets = [Target(f"{c}-O{n}", c, (f"-O{n}",)) for c in ("gcc", "clang") for n in range(4)]
-    targets += [Target(f"{c}-native", c, native) for c in ("gcc", "clang")]
-    return [*targets, Target("zig-O2", packaged_compiler() or "ziglang", ("-O2",))]
-
-
 def _emulated(name: str, board: str, *flags: str, level: str = "-O2") -> Target:
     return Target(name, "arm-none-eabi-gcc", (level, "-mthumb", *flags), board)
 
 
 _M4F = ("mps2-an386", "-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard")
-
+_NATIVE = ("-O3", "-march=native") if platform.machine().lower() in ("x86_64", "amd64") else ("-O3",)
 
 _BUILT_IN = (
-    *_here(),
+    *(Target(f"{c}-O{n}", c, (f"-O{n}",)) for c in ("gcc", "clang") for n in range(4)),
+    *(Target(f"{c}-native", c, _NATIVE) for c in ("gcc", "clang")),
+    Target("zig-O2", packaged_compiler() or "ziglang", ("-O2",)),
     _emulated("cortex-m3", "mps2-an385", "-mcpu=cortex-m3", "-mfloat-abi=soft"),
     _emulated("cortex-m4f", *_M4F),
     _emulated("cortex-m4f-Os", *_M4F, level="-Os"),

@@ -30,7 +30,7 @@ MANY = 100
 
 def range_text(box: Vector) -> str:
     """Return ranges (n, 2) as text such as "0 to 1", or as a list if the ranges differ."""
-    texts = [_interval_text(low, high) for low, high in box]
+    texts = [ANY_NUMBER if min(-low, high) > 1e38 else f"{low:.6g} to {high:.6g}" for low, high in box]
     if len(set(texts)) == 1:
         return texts[0]
     for period in range(2, len(texts)):
@@ -38,12 +38,6 @@ def range_text(box: Vector) -> str:
             texts = texts[:period]
             break
     return "; ".join(texts)
-
-
-def _interval_text(low: float, high: float) -> str:
-    if min(-low, high) > 1e38:
-        return ANY_NUMBER
-    return f"{low:.6g} to {high:.6g}"
 
 
 def box_lines(
@@ -217,7 +211,8 @@ def example_values(law: Exportable, within: Envelope, *, name: str, arrays: int)
         "input_starts": _starts(law.inputs),
         "period_us": round(1e6 * law.dt),
         "stack_bytes": -(-(_STACK + arrays) // 1024) * 1024,
-        "package": _package(name),
+        # REP 144: lower-case letters, digits, single underscores, a letter first
+        "package": re.sub(r"_+", "_", name.lower()).strip("_") or "controller",
         "own_state": own,
         "sonars": () if sonars is None else (*sonars.shape, repr(float(np.max(sonars.default)))),
         "numbers_in": numbers_in,
@@ -239,11 +234,6 @@ def _starts(inputs: Layout) -> list[tuple[str, str, str]]:
                 numbers = np.asarray(port.default).tolist()
                 starts += [("", member, repr(numbers[at])) for member, at in entries([port]) if numbers[at]]
     return starts
-
-
-def _package(name: str) -> str:
-    # REP 144: lower-case letters, digits, single underscores, a letter first
-    return re.sub(r"_+", "_", name.lower()).strip("_") or "controller"
 
 
 def _own_state(inputs: Layout) -> str:

@@ -195,7 +195,9 @@ def render_files(
         else emit_parts(block, symbol=f"{name}_law", real=real)
     )
     values = _values(law, gains, within, name, identity, tests, real) | {"prototypes": parts.prototypes}
-    of_law = _law_files(name, parts)
+    named = {part: _PARTS.get(part, (f"law_{part}", f"{part}, a part of the law")) for part in parts.files}
+    # (file name, description of the contents, C text)
+    of_law = [(f"{name}_{named[part][0]}.c", named[part][1], text) for part, text in parts.files.items()]
     values |= {"law_files": [(file, about) for file, about, _ in of_law]}
     values |= (
         wiring_values(law)
@@ -250,12 +252,6 @@ _PARTS: Mapping[str, tuple[str, str]] = MappingProxyType(
     }
 )
 """File name and contents for large functions of the built-in laws; other files are named after their function."""
-
-
-def _law_files(name: str, parts: Parts) -> list[tuple[str, str, str]]:
-    # (file name, description of the contents, C text)
-    named = {part: _PARTS.get(part, (f"law_{part}", f"{part}, a part of the law")) for part in parts.files}
-    return [(f"{name}_{named[part][0]}.c", named[part][1], text) for part, text in parts.files.items()]
 
 
 def _arrivals(law: Exportable) -> list[tuple[str, str]]:
@@ -333,7 +329,12 @@ def _values(
         "anew": forgotten_runs(law, literal),
         "forgotten": forgotten(law),
         **(gains_values(law, real) if law.gains.size else {}),
-        "structs": _structs(law),
+        "structs": [
+            ("state", "state of the controller between steps; owned by the caller", law.state.ports),
+            ("input", "inputs of each step", law.inputs.ports),
+            ("gains", "gains and other parameters", law.gains.ports),
+            ("output", "commands, then telemetry", law.outputs.ports),
+        ],
         "state": law.state,
         "inputs": law.inputs,
         "gains": law.gains,
@@ -384,15 +385,6 @@ def _values(
 def _fields(ports: Sequence[Port]) -> str:
     """Return the names of output members and "is" or "are", such as "output.tau is", as the start of a sentence."""
     return f"{', '.join(f'output.{port.name}' for port in ports)} {'is' if len(ports) == 1 else 'are'}"
-
-
-def _structs(law: Exportable) -> list[tuple[str, str, tuple[Port, ...]]]:
-    return [
-        ("state", "state of the controller between steps; owned by the caller", law.state.ports),
-        ("input", "inputs of each step", law.inputs.ports),
-        ("gains", "gains and other parameters", law.gains.ports),
-        ("output", "commands, then telemetry", law.outputs.ports),
-    ]
 
 
 def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:

@@ -279,7 +279,10 @@ def software_in_the_loop(
         (True, 0.0, 0)
     """
     recorded = as_records(law, records)
-    bundle = build_bundle(law, _named_gains(law, recorded), real=real)
+    gains = recorded.P[0]  # the bundle is built with the gains of the first record
+    if not np.all(np.isfinite(gains)):
+        raise InputError("the first record's gains are not finite", key="records.P", remedy="give finite gains")
+    bundle = build_bundle(law, law.gains.unpack(gains), real=real)
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
         folder = Path(scratch) / bundle.name if workdir is None else Path(workdir)
         controller = build_controller(law, bundle, folder)
@@ -307,13 +310,6 @@ def compare_runs(controller: Controller, runs: Sequence[AnyRecord]) -> tuple[Sil
     """
     self_test = controller.self_test()
     return tuple(_compare(controller, as_records(controller.law, run), self_test=self_test) for run in runs)
-
-
-def _named_gains(law: Exportable, run: Records) -> dict[str, Vector]:
-    # the bundle is built with the gains of the first record
-    if not np.all(np.isfinite(run.P[0])):
-        raise InputError("the first record's gains are not finite", key="records.P", remedy="give finite gains")
-    return law.gains.unpack(run.P[0])
 
 
 def _compare(controller: Controller, run: Records, *, self_test: bool) -> SilReport:

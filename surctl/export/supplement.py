@@ -109,11 +109,6 @@ _VERSION = 1
 _KEY = 8  # bytes
 
 
-def _law_key(law: Exportable, real: Real) -> str:
-    """Return the first 16 digits of the SHA-256 of the lines of the law's id, without that of the gains."""
-    return hashlib.sha256("\n".join(law_lines(law, real)).encode()).hexdigest()[: 2 * _KEY]
-
-
 def law_lines(law: Exportable, real: Real) -> list[str]:
     """Return what the id of a law is a hash of: digests of its list, ports and initial state, period, precision."""
     digests = law.block.digest(), ports_sha256(law_list(law).entry())
@@ -142,7 +137,9 @@ def gains_values(law: Exportable, real: Real) -> dict[str, Any]:
 
 def _head(law: Exportable, real: Real) -> bytes:
     width = np.dtype(real).itemsize
-    return b"SURG" + struct.pack("<HHI", _VERSION, width, law.gains.size) + bytes.fromhex(_law_key(law, real))
+    # start of the SHA-256 of the lines of the law's id, without that of the gains
+    key = hashlib.sha256("\n".join(law_lines(law, real)).encode()).digest()[:_KEY]
+    return b"SURG" + struct.pack("<HHI", _VERSION, width, law.gains.size) + key
 
 
 LAW = "law.txt"

@@ -135,7 +135,9 @@ def split(program: Program, size: int) -> Block:
     count = -(-program.operations // size)
     if count < 2:
         return program
-    owner = _owners(program, -(-program.operations // count))
+    operations = [at for at, i in enumerate(program.instructions) if i.op not in LEAVES]
+    size = -(-program.operations // count)
+    owner = {at: k // size for k, at in enumerate(operations)}  # number of the part to which each belongs
     last = count - 1
     needed: list[list[int]] = [[] for _ in range(count)]  # values that each part passes on, in order
     place: dict[int, tuple[int, int]] = {}
@@ -145,7 +147,9 @@ def split(program: Program, size: int) -> Block:
         if arg in owner and owner[arg] != (last if user < 0 else owner[user]) and arg not in place:
             place[arg] = (owner[arg], len(needed[owner[arg]]))
             needed[owner[arg]].append(arg)
-    free = _free_name("part", program)
+    free = "part"  # no input has a name that begins so
+    while any(name.startswith(free) for name, _ in program.inputs):
+        free += "x"
     steps = []
     for part in range(count):
         mine = [at for at, of in owner.items() if of == part]
@@ -156,18 +160,6 @@ def split(program: Program, size: int) -> Block:
         results = tuple(f"{free}{last}_{k}" for k in range(len(outputs))) if part == last else (outputs[0][0],)
         steps.append(Call(body, tuple(name for name, _ in body.inputs), results))
     return Routine(program.name, program.inputs, tuple(steps), steps[-1].results)
-
-
-def _owners(program: Program, size: int) -> dict[int, int]:
-    """Return the number of the part to which each operation belongs."""
-    operations = [at for at, i in enumerate(program.instructions) if i.op not in LEAVES]
-    return {at: k // size for k, at in enumerate(operations)}
-
-
-def _free_name(prefix: str, program: Program) -> str:
-    while any(name.startswith(prefix) for name, _ in program.inputs):
-        prefix += "x"
-    return prefix
 
 
 def _part(

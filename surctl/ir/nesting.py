@@ -386,8 +386,9 @@ class _Body:
         """Assign each instruction to the latest possible program, and each loop to the earliest possible position."""
         soon: dict[int, int] = {}
         for node in self.order:
-            if node >= 0 and self.regions.loop_of(node) is not None and node not in self.place:
-                soon[node] = soon[~self._producer(node)] + 1
+            producer = self.regions.loop_of(node) if node >= 0 and node not in self.place else None
+            if producer is not None:
+                soon[node] = soon[~producer] + 1
             else:
                 soon[node] = max((soon[need] for need in self._needs(node)), default=0)
             if node < 0:
@@ -415,11 +416,6 @@ class _Body:
             for argument in self.regions.code[node].args:
                 users.setdefault(argument, []).append(self.stage[node])
         self.last = last
-
-    def _producer(self, node: int) -> int:
-        producer = self.regions.loop_of(node)
-        assert producer is not None
-        return producer
 
     def _is_operation(self, node: int) -> bool:
         return node not in self.place and self.regions.code[node].op not in ("input", "const")

@@ -237,7 +237,10 @@ def _draw_cells(
     ax.set_xticks(*_ticks(across))
     ax.set_yticks(*_ticks(up))
     if hatched is not None:
-        _hatch(ax, hatched)
+        for row, column in np.argwhere(hatched):
+            frame = Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, hatch="xx", linewidth=0.0)
+            frame.set(edgecolor="white", alpha=0.75, zorder=3)
+            ax.add_patch(frame)
     if values.size <= _NUMBERS and len(across) <= _TICKS:
         _write_numbers(ax, written, colours, low, high)
 
@@ -263,13 +266,6 @@ def _value_range(values: Array) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = float(known.min()), float(known.max())
     return (low, high) if high > low else (low - 0.5, high + 0.5)
-
-
-def _hatch(ax: Axes, cells: NDArray[np.bool_]) -> None:
-    for row, column in np.argwhere(cells):
-        frame = Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, hatch="xx", linewidth=0.0)
-        frame.set(edgecolor="white", alpha=0.75, zorder=3)
-        ax.add_patch(frame)
 
 
 def _write_numbers(ax: Axes, values: Array, colours: Colormap, low: float, high: float) -> None:

@@ -39,20 +39,15 @@ def _file_findings(loaded: object) -> list[Finding]:
         free = lib.undamped({key: parameter.value for key, parameter in loaded.parameters.items()})
         text = "no drag, but thrust: the speed has no bound; state the drag, or fit it to a log (vehicle from-log)"
         undriven = [Finding("warning", f"drag ({axis})", text) for axis in free]
-        return [*undriven, *lib.thruster_findings(loaded), *_assumption_findings(loaded)]
+        advice = "; surctl verify --vehicle FILE says how much the margin depends on it"
+        assumed = [Finding("info", one.name, one.text + advice) for one in lib.assumptions(loaded)]
+        return [*undriven, *lib.thruster_findings(loaded), *assumed]
     if isinstance(loaded, lib.RegionStatement) and loaded.loop == "cruise":
         cruise, cap = loaded.cruise_m_per_s, loaded.cap_m_per_s
         if cruise >= cap:
             text = f"the cruise speed of {cruise:g} m/s is not below the cap of {cap:g} m/s"
             return [Finding("error", "cruise_m_per_s", text)]
     return []
-
-
-def _assumption_findings(vehicle: lib.Vehicle) -> list[Finding]:
-    """Return the defaults that decide the margins of a vehicle."""
-    advice = "; surctl verify --vehicle FILE says how much the margin depends on it"
-    assumed = lib.assumptions(vehicle)
-    return [Finding("info", one.name, one.text + advice) for one in assumed]
 
 
 def _loop_findings(mission: lib.Mission, derive_for: str | None) -> tuple[list[Finding], list[str]]:

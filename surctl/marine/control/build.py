@@ -374,12 +374,8 @@ def _built(c: _Configuration) -> Law:
     decision_inputs = scan_inputs(c.contacts + SECTORS, sensors=c.equipment.array.size, depths=c.depths)
     inputs = sonar_inputs(c.equipment, contacts=c.contacts, depths=c.depths)
     noise = {"model_noise": source.model_noise, "acceleration_noise": source.acceleration_noise}
-    return _with_perception(
-        _decide(source, c, decision_inputs), build_perception(c.equipment, inputs, decision_inputs, dt=c.dt, **noise)
-    )
-
-
-def _with_perception(decide: Law, perception: PerceptionStage) -> Law:
+    decide = _decide(source, c, decision_inputs)
+    perception = build_perception(c.equipment, inputs, decision_inputs, dt=c.dt, **noise)
     state = Layout((*decide.state.ports, *perception.state.ports))
     block = sensing(decide.block, decide.state, perception)
     return replace(decide, state=state, inputs=perception.inputs, block=block, perception=perception)

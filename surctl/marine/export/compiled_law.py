@@ -115,14 +115,10 @@ def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = 
     shipped = ClosedForm(law, without_libm(law.stages.closed, real), law.gains) if closed else in_real(law, real)
     if constants is None:
         return shipped
-    return ClosedForm(law, _without_gains(shipped.block, constants), Layout(()), np.array(constants, dtype=float))
-
-
-def _without_gains(block: Block, constants: Vector) -> Block:
-    # the constants replace the third input, which is then empty
-    x, u, p = block.inputs
-    folded = _with_constant_input(block, 2, constants)
-    return replace(folded, inputs=(x, u, (p[0], 0)))
+    x, u, p = shipped.block.inputs
+    folded = _with_constant_input(shipped.block, 2, constants)
+    block = replace(folded, inputs=(x, u, (p[0], 0)))  # the constants replace the third input, which is then empty
+    return ClosedForm(law, block, Layout(()), np.array(constants, dtype=float))
 
 
 def _with_constant_input(block: Block, at: int, constants: Vector) -> Block:

@@ -193,7 +193,9 @@ def operating_envelope(
         "working": [(0.0, 1.0)],
     }
     along = mission.path.length
-    most = _integral(vehicle, fast)
+    # of the integral, (4,): the thrust saturates at the bound, and integration stops
+    drag = vehicle.linear_drag * fast + vehicle.quadratic_drag * fast**2
+    most = (_thrust(vehicle) + drag) / vehicle.mass + 100.0 * fast
     orders = gain_orders(gains, tuned)
     state: Mapping[str, list[tuple[float, float]]] = {
         "progress": [(0.0, along + 0.01)],
@@ -241,12 +243,6 @@ def _steady(vehicle: Vehicle) -> Vector:
 def _thrust(vehicle: Vehicle) -> Vector:
     # (4,) [N, N m]: in the direction with more thrust
     return np.asarray(np.abs(vehicle.thrust_range).max(axis=0), dtype=float)
-
-
-def _integral(vehicle: Vehicle, fast: Vector) -> Vector:
-    # (4,): the thrust saturates at the bound, and integration stops
-    drag = vehicle.linear_drag * fast + vehicle.quadratic_drag * fast**2
-    return np.asarray((_thrust(vehicle) + drag) / vehicle.mass + 100.0 * fast, dtype=float)
 
 
 def _rates(inputs: Layout, fast: Vector) -> tuple[Rate, ...]:

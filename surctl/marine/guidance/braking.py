@@ -171,7 +171,8 @@ def stopping_distance_with_drag(
     if brakes.left(obstacle) <= 0:
         return inf
     own, swing = max(speed, -obstacle), _swing(brakes, thrust)
-    return max(_upper_sum(brakes, m, own + swing / m, obstacle) for m in brakes.masses)
+    bounds = (_above(brakes, mass, own + swing / mass, obstacle) for mass in brakes.masses)
+    return max(float(above.step * np.sum(above.integrand)) for above in bounds)
 
 
 def tabled_stopping_distance(brakes: Brakes, fastest: float, *, obstacle: float = 0.0) -> Callable[..., float]:
@@ -222,11 +223,6 @@ def _above(brakes: Brakes, mass: float, top: float, obstacle: float) -> _Above:
     force = brakes.least - brakes.disturbance + through * (linear + quadratic * abs(through))
     places = np.asarray(step * np.arange(_SUMMANDS + 1), dtype=np.float64)
     return _Above(step, places, np.maximum.accumulate(mass * (v + obstacle) / force))
-
-
-def _upper_sum(brakes: Brakes, mass: float, top: float, obstacle: float) -> float:
-    above = _above(brakes, mass, top, obstacle)
-    return float(above.step * np.sum(above.integrand))
 
 
 def range_needed(

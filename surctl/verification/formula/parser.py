@@ -186,7 +186,9 @@ class _Parser:
         if not self._takes("^"):
             return base
         token = self._next
-        tree = self._signed_constant()
+        negative = bool(self._takes("-"))
+        exponent = self._atom()
+        tree = -exponent if negative else exponent
         values = exact_values([tree], {}) if all(n.op in _CONSTANT for n in ordered(tree)) else None
         value = values[0] if values else None
         if value is None or abs(value) > LARGEST_POWER or max(map(len, map(str, value.as_integer_ratio()))) > _LONGEST:
@@ -195,11 +197,6 @@ class _Parser:
         if self._next.text == "^":
             raise self._mistake("has no defined order here", self._next, "write parentheses")
         return Node("pow" if value.denominator == 1 else "powr", (base,), value)
-
-    def _signed_constant(self) -> Node:
-        negative = bool(self._takes("-"))
-        tree = self._atom()
-        return -tree if negative else tree
 
     def _atom(self) -> Node:
         token = self._take()

@@ -117,15 +117,11 @@ class RangeTracker(TrackerParameters):
             at += width
         return Ranging(new, *(readings[:, k] for k in range(readings.shape[1])))
 
-    @property
-    def _delays(self) -> int:
-        return max(round(self.due / self.dt), ceil(self.longest_delay / self.dt - 1e-9))
-
 
 @cache
 def _ports(tracker: RangeTracker, prefix: str) -> tuple[Port, ...]:
     n, far = tracker.array.size, tracker.array.maximum
-    delays = tracker._delays
+    delays = max(round(tracker.due / tracker.dt), ceil(tracker.longest_delay / tracker.dt - 1e-9))
 
     def port(name: str, unit: str, meaning: str, default: float = 0.0, *, width: int = 0) -> Port:
         return Port(f"{prefix}{name}", (n, width) if width else (n,), unit, meaning, default)
