@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -220,8 +221,9 @@ def write_bundle(bundle: Bundle, directory: Path | str) -> list[ExportedFile]:
     """Write the files of the bundle to a folder; no file is ever half-written.
 
     All files are first written to a sibling folder. If `directory` does not exist, the sibling folder is renamed to
-    `directory`. If `directory` exists, its manifest is removed first, then each file is replaced by a rename, the new
-    manifest last; other files stay unchanged. So a folder with a manifest is complete at any time.
+    `directory`. If `directory` exists, its manifest is removed first, then the unaltered files of an older bundle that
+    the new one lacks; each file is replaced by a rename, the new manifest last; other files stay unchanged. So a folder
+    with a manifest is complete at any time.
 
     Raises:
         InputError: the folder cannot be written.
@@ -267,7 +269,14 @@ def _publish(bundle: Bundle, staging: Path, target: Path) -> None:
     if not target.exists():
         staging.rename(target)
         return
+    older = dict[str, str]()
+    with suppress(OSError, ValueError, LookupError, TypeError):
+        older = dict(json.loads((target / _MANIFEST).read_text(encoding="utf-8"))["sha256"])
     (target / _MANIFEST).unlink(missing_ok=True)
+    for name in older.keys() - bundle.files.keys() - bundle.binaries.keys():
+        inside = target in (target / name).parents and ".." not in name and (target / name).is_file()
+        if inside and hashlib.sha256((target / name).read_bytes()).hexdigest() == older[name]:
+            (target / name).unlink()
     for name in (*bundle.binaries, *(name for name in bundle.files if name != _MANIFEST), _MANIFEST):
         (target / name).parent.mkdir(parents=True, exist_ok=True)
         (staging / name).replace(target / name)

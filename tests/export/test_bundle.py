@@ -198,6 +198,11 @@ def test_writing_over_an_older_bundle_leaves_other_files_alone(tmp_path: Path) -
     for file in written:
         assert hashlib.sha256(file.path.read_bytes()).hexdigest() == file.sha256
     assert (folder / "mine.txt").read_text() == "keep"
+    other = build_bundle(stand_in(), TUNED, name="other")
+    (folder / "standin.h").write_text("mine now")
+    write_bundle(other, folder)  # files of the older bundle are removed, except those that the user has altered
+    left = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    assert left == {*other.files, "mine.txt", "standin.h"}
     assert [p.name for p in (tmp_path / "deep").iterdir()] == ["bundle"]
 
 
