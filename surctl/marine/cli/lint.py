@@ -29,12 +29,12 @@ _NEXT = {
 _IN_VEHICLES = ("scenario", "study")  # kinds of files to which --vehicle applies
 
 
-def _file_findings(loaded: object) -> list[Finding]:
+def _file_findings(loaded: object, file: str) -> list[Finding]:
     # entries that cannot work
 
     if isinstance(loaded, lib.Vehicle) and set(loaded.name) & set("/\\"):
-        text = f"{loaded.name!r} cannot be part of a file name: remove / and \\"
-        return [Finding("error", "name", text)]
+        remedy = "remove / and \\"
+        raise InputError("cannot be part of a file name", file=file, key="name", value=loaded.name, remedy=remedy)
     if isinstance(loaded, lib.Vehicle):
         free = lib.undamped({key: parameter.value for key, parameter in loaded.parameters.items()})
         text = "no drag, but thrust: the speed has no bound; state the drag, or fit it to a log (vehicle from-log)"
@@ -128,7 +128,7 @@ def lint(words: Sequence[str], vehicle: str | None, **_: Any) -> Linted:
             problems += about_loop
         problems += _goal_findings(plan)
     elif isinstance(kind, str) and kind in plain:
-        problems = _file_findings(plain[kind](path))
+        problems = _file_findings(plain[kind](path), path)
     else:
         known = ", ".join(f'"{name}"' for name in sorted([*plain, "scenario"]))
         remedy = f'write kind = {known} or "study"'
