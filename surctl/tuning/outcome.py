@@ -288,8 +288,7 @@ class Finals:
             return []
         count = self.checked - self.started
         sets = f"the {count} best gain sets" if count > 1 else "the best gain set"
-        more = " and the start gains, as all of these miss a goal (goals of type margins are met in the search itself)"
-        lines = [f"checked at the end, on {sets} of the search{more if self.started else ''}:"]
+        lines = [f"checked at the end, on {sets} of the search{' and the start gains' if self.started else ''}:"]
         for goal in self.goals:
             unit = "" if goal.unit == "1" else f" {goal.unit}"
             before, after = (_text(_value(goal, a)) for a in (self.comparison.before, self.comparison.after))
