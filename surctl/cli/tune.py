@@ -141,7 +141,7 @@ def _search(task: Task, options: TuneOptions, *, as_json: bool) -> None:
         lines += ["", warning, *(f"  {miss.text}" for miss in missed), f"  {remedy}"]
         then = [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else task.look(missed, str(gains_path))
     brief = ["; better: ".join([headline, *comparison.gained[:1]]), *([warning] if warning else []), *verdict]
-    brief += [*more.floor, *lib.summary(tuning)[-2:]]
+    brief += [*filter(None, [checked.refused]), *more.floor, *lib.summary(tuning)[-2:]]
     brief += [*doubtful, *more.over]
     finish(
         result, lines,

@@ -268,6 +268,7 @@ class Finals:
         best: for each goal, by name, the best value of a set that was checked.
         undetermined: default goals that are not judged, because the assessment has no such figure.
         started: whether the start gains are one of the sets, because all others miss a goal.
+        refused: why the start gains are the result, as a line of text; empty if they are not.
     """
 
     goals: tuple[RunGoal, ...]
@@ -276,6 +277,7 @@ class Finals:
     best: Mapping[str, float]
     undetermined: tuple[RunGoal, ...] = ()
     started: bool = False
+    refused: str = ""
 
     @property
     def unmet(self) -> tuple[str, ...]:
@@ -296,7 +298,7 @@ class Finals:
             if not _met(goal, self.comparison.after):
                 text += f"  MISSED; best of the checked sets: {_text(self.best[goal.name])}"
             lines.append(text)
-        return lines
+        return [*lines, self.refused] if self.refused else lines
 
     def to_dict(self) -> dict[str, Any]:
         """Return the goals and their values as plain data for JSON."""
@@ -389,11 +391,17 @@ def check_finals(
         if k == 0 or other.accepted:
             tuning, checked = other, tables[k].parts
             break
+    refused = ""
+    if started and tuning.result.gains == begun:
+        missed = [goal for goal in goals if not _met(goal, tables[0])]
+        values = ", ".join(f"{g.metric} {g.sign} {g.limit:g} ({_text(_value(g, tables[0]))})" for g in missed)
+        remedy = "add a goal of type margins; " * ({g.metric for g in missed} <= {"disk_margin", "delay_margin_s"})
+        refused = f"start gains kept: {remedy}the best set of the search misses {values}"
     progress("assessment of start and tuned gains ...")
     after = assessed(tuning.result.gains, None, checked)
     comparison = Comparison(assessed(begun, None, before), after)
     best = {goal.name: _best(goal, tables) for goal in goals}
-    return Tuned(tuning, Finals(tuple(goals), comparison, len(tables), best, undetermined, started))
+    return Tuned(tuning, Finals(tuple(goals), comparison, len(tables), best, undetermined, started, refused))
 
 
 def _alternatives(tuning: Tuning) -> list[Mapping[str, float]]:

@@ -123,6 +123,15 @@ def test_the_start_gains_stay_where_every_other_set_misses_more_goals(tuning: Tu
 
     same, found = check(tuning, goals, lambda gains: Broken(gains, lambda g: 0.1))
     assert same.result.gains["k_v"] == start and found.unmet == ("region",)
+    assert found.lines()[-1] == found.refused
+    assert (
+        found.refused
+        == "start gains kept: the best set of the search misses region_m ≥ 0.2 (0.1), disk_margin ≥ 0.3 (0)"
+    )
+    _, found = check(tuning, goals[1:], lambda gains: Broken(gains, lambda g: 0.1))
+    assert found.refused.startswith(
+        "start gains kept: add a goal of type margins; the best set of the search misses disk_"
+    )
     assert found.comparison.worse == []
 
 
