@@ -14,7 +14,7 @@ from surctl.cli.export import replay_of, system_bundle
 from surctl.cli.output import progress, saving, timed
 from surctl.cli.subject import OwnSystem, assigned, load_system, mode_text, region_words
 from surctl.cli.sweep import best_line, best_points
-from surctl.errors import InputError, NotApplicable
+from surctl.errors import InputError, NotApplicable, mistakes_in
 from surctl.export import Bundle, Exportable
 from surctl.export.evidence import ReplayedRun
 from surctl.ir.cache import find_compiler
@@ -39,7 +39,8 @@ class _SystemStudy(StudyParts):
         others, region, uncertain = region_words(self.judged, own.system)
         self.own, self.duration, self.values = own, own.seconds(seconds), assigned(others)
         axes = axes or own.default_axes(self.values)[:_AXES]
-        self.problem = None if region is None else region.problem(own.system, self.values)
+        with mistakes_in(own.word):
+            self.problem = None if region is None else region.problem(own.system, self.values)
         self.design, self.ranges = _design(own, axes, self.values), {**own.system.ranges, **uncertain}
         self.about = [word for word in others if not word.startswith("start.")]
         self.best, self.best_lines = dict[str, Any](), list[str]()

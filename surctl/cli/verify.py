@@ -202,7 +202,8 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
             problem = "has no effect: no region of attraction is requested, so there is no certificate to write"
             raise InputError(problem, key="--out", remedy=remedy)
         prepare_out(out)
-    claim = None if region is None else region.problem(own.system, values)
+    with mistakes_in(own.word):
+        claim = None if region is None else region.problem(own.system, values)
 
     def proved() -> lib.Solution:
         if isinstance(claim, NotApplicable):
@@ -212,10 +213,11 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
             return lib.solve(claim, time_limit=time_limit, seed=seed, progress=progress)
 
     subject = lib.ClosedLoop(own.system, values, uncertain, region=None if claim is None else proved)
-    ready = lib.assess(subject, parts=["loop"])
+    with mistakes_in(own.word):
+        ready = lib.assess(subject, parts=["loop"])
     loop = ready.sources["loop"]
     if isinstance(loop, InputError):
-        raise loop
+        raise loop.inside(own.word)
     shown = [f"{line.mark} {line.text}" for line in ready.lines if line.counts]
     with stoppable("the region of attraction is not decided", shown, as_json=as_json):
         assessment = lib.assess(subject, computed=ready.parts)

@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from tests.cli.process import LIBRARY, surctl_here
+from tests.cli.test_lost_output import LOOP
 
 VEHICLE = (LIBRARY / "marine" / "vehicle" / "library" / "sur400.toml").read_text()
 GAINS = (LIBRARY / "marine" / "control" / "library" / "default.toml").read_text()
@@ -242,6 +243,31 @@ def test_without_a_compiler_many_runs_of_a_system_take_longer_and_say_so(tmp_pat
     assert done.status == 0 and not done.err  # one run needs none
     done = surctl_here("sweep", "mine.py:build", "k_p=4..20:3", cwd=tmp_path)
     assert done.status == 0 and "no C compiler found" in done.complaint and "until then" in done.complaint
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ('within={"y": (-1.0, 1.0)}', "within.y: is not a state of the system; known: x"),
+        ('ranges={"plant.m": (1.0, 2.0)}', "plant.m: no such number of the system"),
+    ],
+)
+def test_a_misspelt_name_in_the_file_of_a_system_names_the_file(tmp_path, line, says):
+    (tmp_path / "loop.py").write_text(LOOP.replace("System(plant, law, ", f"System(plant, law, {line}, "))
+    done = surctl_here("verify", "loop.py:build", cwd=tmp_path)
+    assert done.status == 2 and done.complaint.startswith(f"surctl: loop.py:build: {says}")
+
+
+@pytest.mark.filterwarnings("default:divide by zero", "default:ranges.k")
+def test_a_warning_is_no_error_and_one_of_numpy_has_its_place(tmp_path):
+    text = LOOP.replace("def build():", "import numpy\n\ndef build():\n    numpy.float64(1) / 0")
+    (tmp_path / "loop.py").write_text(
+        text.replace("System(plant, law, ", 'System(plant, law, ranges={"k": (3.0, 4.0)}, ')
+    )
+    done = surctl_here("lint", "loop.py:build", cwd=tmp_path)
+    first, second, *_ = done.err.splitlines()
+    assert first == f"surctl: warning: {tmp_path / 'loop.py'}:11: divide by zero encountered in scalar divide"
+    assert second.startswith("surctl: warning: ranges.k = (3.0, 4.0): leaves out the nominal value, 2 1/s")
 
 
 def test_folder_that_cannot_be_written(tmp_path):
