@@ -144,7 +144,7 @@ def main() -> None:
     # set before NumPy is loaded: with small matrices, OpenBLAS's threads only wait for each other
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(50_000, 20, 20)  # the search for cycles takes a tenth of the time of a short command
-    warnings.showwarning = _show_warning
+    warnings.showwarning = lambda message, kind, file, line, *_: _show_warning(message, kind, f"{file}:{line}: ")
     os.environ["MPLBACKEND"] = "agg"  # an inherited one (of Jupyter, say) may not be installed; no window is opened
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it reports a folder for its own cache in several lines
     open_closed_streams()
@@ -157,10 +157,9 @@ def main() -> None:
     sys.exit(status)
 
 
-def _show_warning(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: object) -> None:
-    """Print a warning in one line; one that is not about the user's numbers, such as NumPy's, has its place."""
-    place = "" if issubclass(category, UserWarning) else f"{filename}:{lineno}: "
-    print_message(f"warning: {place}{message}")
+def _show_warning(message: Warning | str, category: type[Warning], place: str) -> None:
+    """Print a warning in one line; one that is not about the user's numbers, such as NumPy's, with its place."""
+    print_message(f"warning: {'' if issubclass(category, UserWarning) else place}{message}")
 
 
 def _status() -> int:
