@@ -509,7 +509,10 @@ def idle_commands(system: System, loop: LinearLoop) -> list[str]:
     """Return the labels of the commands that do not respond at the point of a linear loop, see `unresponsive`."""
     blocks = nested(system.controller.block).values()
     depends = any(isinstance(inner, Procedure) for inner in blocks) or np.array(_slopes(system)[1])
-    still = ~np.any(np.hstack(loop.law[3:]), axis=1) & depends
+    A, C, paths = loop.law[0], loop.law[3], [np.hstack(loop.law[4:]), np.hstack(loop.law[1:3])]
+    for _ in range(len(A)):  # an input may reach a command by the states of the law alone
+        paths[0], paths[1] = np.hstack([paths[0], C @ paths[1]]), A @ paths[1]
+    still = ~np.any(paths[0], axis=1) & depends
     return [label for label, idle in zip(entry_labels(system.commands), still, strict=True) if idle]
 
 

@@ -118,7 +118,10 @@ class Record(Plotted):
 
 
 def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] | None = None) -> Record:
-    """Simulate one run and record all signals; no compiler is needed, and the results are those of `simulate_system`.
+    """Simulate one run and record all signals; no compiler is needed, and the results equal those of `simulate_system`.
+
+    They are equal up to rounding. A number of telemetry or of an input of the controller that is not finite ends a
+    recorded run, too.
 
     Args:
         seconds: duration of the run [s] unless a stop ends it earlier.
@@ -186,8 +189,8 @@ def _rough(system: System, at: Mapping[str, Array], stopped: str) -> str:
     steps = np.ceil(2 * system.substeps * (min(change.max(), 1.0) / _FINE) ** 0.25)  # the method is of fourth order
     name, unit = entry_labels(system.plant.state)[i], entry_units(system.plant.state)[i]
     text = f"the integration step is too long at {k * system.dt:.6g} s: after one control period, it gives {name} = "
-    text += f"{moved[k, i]:.4g}, and half of it {finer[k, i]:.4g} {unit}; "
-    return f"{text}give System(substeps={min(steps, 1000):g}), at most 1000"
+    text += f"{moved[k, i]:.7g}, and half of it {finer[k, i]:.7g} {unit}; "
+    return f"{text}give System(substeps={min(steps, 1000):g}), at most 1000, or make a jump in the plant smooth"
 
 
 def _lost(system: System, numbers: RunNumbers, at: Mapping[str, Array]) -> str:
@@ -197,8 +200,8 @@ def _lost(system: System, numbers: RunNumbers, at: Mapping[str, Array]) -> str:
     step = now["controller"], now["u"], gains
     costs = Layout(tuple(Port(cost, (1,), "1", "") for cost in system.costs))
     name = lost_entry(system.controller, *step) or not_finite([("cost", costs, now["costs"])])
-    later = not name  # the plant state at the end of the period
-    name = name or not_finite([("state", system.plant.state, now["moved"])]) or "memory of a sensor or an actuator"
+    after = "" if name else not_finite([("state", system.plant.state, now["moved"])])
+    name, later = name or after or "memory of a sensor or an actuator", bool(after)  # the state ends the period
     constants = numbers.plant[0], numbers.disturbance[0], numbers.blocks[0]
     moving = (now["plant"], now["tau"], [k * system.dt], *constants, now["memory"], now["noise"], [float(k)])
     cause = undefined_operation("law", system.controller.block, step, {2: system.controller.gains})

@@ -16,7 +16,9 @@ from surctl.errors import InputError, ToolMissing, check_known, nearest
 from surctl.ir import Batch, Block, Call, Layout, Port, Recording, Routine, fold, lower_named, to_casadi, without_libm
 from surctl.ir.batch import compile_batch
 from surctl.ir.folding import fused
-from surctl.ir.native import warn_slower
+from surctl.ir.native import runnable, warn_slower
+from surctl.ir.procedure import Procedure
+from surctl.ir.routine import nested
 from surctl.noise import noise_states
 from surctl.plotted import Plotted
 from surctl.system.loop import ENDED, LOST, System, once_per_system, periods
@@ -359,7 +361,11 @@ def _machine(system: System) -> ca.Function:
 
 @once_per_system
 def _recorder(system: System) -> ca.Function:
-    return to_casadi(_loop_step(system, recorded=True))
+    step = _loop_step(system, recorded=True)
+    for inner in nested(step).values():
+        if isinstance(inner, Procedure):
+            runnable(inner, quick=True)  # what is wrong with the compiler is said before CasADi calls it
+    return to_casadi(step)
 
 
 @once_per_system
