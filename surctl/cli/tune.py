@@ -107,9 +107,7 @@ def _search(task: Task, options: TuneOptions, *, as_json: bool) -> None:
         tuning = lib.tune(task.request, trials=trials, rounds=rounds, runs=runs, folder=out, progress=progress)
         tuned = lib.check_finals(tuning, task.finals, task.assessed, default=task.default, progress=progress)
     (tuning, checked), unmet = tuned, tuned.unmet
-    warning = ""
-    if unmet:
-        warning = f"HARD GOALS NOT MET ({', '.join(unmet)}): best gains found, but do not use them"
+    warning = f"HARD GOALS NOT MET ({', '.join(unmet)}): best gains found, but do not use them" if unmet else ""
     comparison = checked.comparison
     accepted, verdict = not unmet and comparison.after.accepted(), [comparison.after.verdict()]
     verdict = verdict * (not comparison.after.accepted())
@@ -141,8 +139,7 @@ def _search(task: Task, options: TuneOptions, *, as_json: bool) -> None:
         lines += ["", warning, *(f"  {miss.text}" for miss in missed), f"  {remedy}"]
         then = [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else task.look(missed, str(gains_path))
     brief = ["; better: ".join([headline, *comparison.gained[:1]]), *([warning] if warning else []), *verdict]
-    brief += [*filter(None, [checked.refused]), *more.floor, *lib.summary(tuning)[-2:]]
-    brief += [*doubtful, *more.over]
+    brief += [*filter(None, [checked.refused]), *more.floor, *lib.summary(tuning)[-2:], *doubtful, *more.over]
     finish(
         result, lines,
         as_json=as_json, passed=accepted, then=then, brief=brief,
