@@ -141,9 +141,11 @@ class ExportOptions:
             **{name: part.to_dict() for name, part in parts.items() if part is not None},
         }
         further = [line for one in (proof, report) if one is not None for line in ("", one.summary())]
+        soft = report is not None and any(lib.PROCESSORS[one.target].machine and not one.same for one in report.builds)
+        remedy = "; use --real float32" if self.real == "float64" and soft else ""  # no hardware for double
         problems = {
             "C and Python differ over the run": not same,
-            "C and Python differ in --check": report is not None and not report.passed,
+            f"C and Python differ in --check{remedy}": report is not None and not report.passed,
             "a run-time error is not excluded": proof is not None and not proof.proved,
         }
         failing = "; ".join(problem for problem, is_one in problems.items() if is_one)

@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from surctl.cli import lib
 from surctl.cli.app import app
+from surctl.export.check import BuildReport, CheckReport
 from tests.cli.process import surctl_here
 from tests.cli.test_lost_output import LOOP
 from tests.tools import need_compiler
@@ -161,3 +163,16 @@ def test_a_cost_that_fails_is_shown_once_and_advice_of_the_parser_ends_once(
     ):
         wrong = surctl_here("simulate", "loop.py:build", *words, cwd=tmp_path)
         assert wrong.status == 2 and wrong.err.rstrip().endswith(end)
+
+
+@pytest.mark.parametrize(("target", "remedy"), [("cortex-m3", "; use --real float32"), ("gcc-O0", "")])
+def test_steps_that_differ_on_a_processor_without_double_have_a_remedy(
+    target: str, remedy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    need_compiler()
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(FILE)
+    report = CheckReport("float64", 1, 1, (BuildReport(target, "gcc", 2, 1, 0),), {})
+    monkeypatch.setattr(lib, "check_builds", lambda *_, **__: report)
+    done = CliRunner().invoke(app, ["export", "mine.py:good", "--check"])
+    assert done.exit_code == 1 and f"NOT accepted: C and Python differ in --check{remedy}\n" in done.output
