@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, NotApplicable
 from surctl.system import Cost, Record, System, run_system
-from surctl.system.linear import idle_commands, unresponsive
+from surctl.system.linear import unresponsive
 from surctl.system.loop import ENDED
 from surctl.system.values import checked_ranges, run_numbers
 from surctl.verification.linear import LEAST_DISK_MARGIN, margin_text, short_margins
@@ -490,10 +490,9 @@ class ClosedLoop:
         figures = loop_figures(corners, least_delay=self.system.dt)  # a command may be applied one period late
         unstable = f": the largest pole is |z| = {np.abs(corners.nominal.poles).max(initial=0.0):.6g}"
         line = loop_line(figures, stable=corners.stable, place=_REST, unstable=unstable, marginal=corners.marginal)
-        loops = (corners.nominal, corners.worst)
-        if line.passed and (idle := {name for loop in loops for name in idle_commands(self.system, loop.linear)}):
+        if line.passed and corners.idle:
             why = (
-                f"{', '.join(sorted(idle))} does not respond there (at a limit, or in a dead zone), so its loop is open"
+                f"{', '.join(corners.idle)} does not respond there (at a limit, or in a dead zone), so its loop is open"
             )
             line = Line(None, f"{line.text}; {why}", "margins")
         if corners.lost:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.system import LinearLoop, System, find_equilibrium, linearise
+from surctl.system.linear import idle_commands
 from surctl.system.linear_loop import independent
 from surctl.system.values import checked_ranges
 from surctl.verification.linear import (
@@ -235,6 +236,7 @@ class LoopCorners:
         count: number of corners.
         of: what the corners are, as text.
         stable: whether the loop is stable at every corner, and exists there if it must.
+        idle: commands that do not respond to their inputs, nominally or at a corner, see `idle_commands`.
     """
 
     nominal: SampledLoop
@@ -248,6 +250,7 @@ class LoopCorners:
     count: int = 0
     of: str = ""
     stable: bool = field(default=True, kw_only=True)
+    idle: tuple[str, ...] = ()
 
     @property
     def weakest(self) -> str:
@@ -426,6 +429,8 @@ def system_corners(
         except InputError:
             return None
 
-    named = ((", ".join(f"{name} = {end:g}" for name, end in corner.items()), at(corner)) for corner in corners)
+    named = [(", ".join(f"{name} = {end:g}" for name, end in corner.items()), at(corner)) for corner in corners]
     of = f"the {len(corners)} corners of the ranges"
-    return corners_of(nominal, named, name="the nominal system", of=of, required=True)
+    result = corners_of(nominal, named, name="the nominal system", of=of, required=True)
+    loops = [nominal.linear, *(loop for _, loop in named if loop is not None)]
+    return replace(result, idle=tuple(dict.fromkeys(name for one in loops for name in idle_commands(system, one))))

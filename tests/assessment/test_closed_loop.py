@@ -11,7 +11,7 @@ import pytest
 from surctl.assessment import ClosedLoop, assess, cost_verdicts
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
-from surctl.system import Controller, Cost, Plant, System, linearise, run_system
+from surctl.system import Action, Controller, Cost, Plant, System, linearise, run_system
 from surctl.system.linear import unresponsive
 from surctl.verification import system_corners, system_disk_margin, system_margins
 from tests.system.examples import pendulum
@@ -148,6 +148,19 @@ def test_a_claimed_region_counts_by_its_verdict(verdict: str, vacuous: str, pass
     assert away == (["the run starts outside the box of the proof: simulated, not proved"] if passed else [])
 
 
+def test_a_proof_for_the_law_in_continuous_time_does_not_cover_a_sampled_run() -> None:
+    claim = SimpleNamespace(
+        verdict="proved", vacuous="", level=2.0, falsified=8.0, lines=lambda: ["proved it"], value=lambda state: 1.0,
+        sampled=False, fallback=True,
+    )  # fmt: skip
+    result = assess(ClosedLoop(pendulum(), region=lambda: claim))
+    assert result.passed is None and not result.accepted("region")
+    assert result.caveats == ["the run starts at V = 1, inside the region (V < 2): simulated, not proved"]
+    claim.fallback = False  # the user stated the function
+    stated = assess(ClosedLoop(pendulum(), region=lambda: claim))
+    assert stated.accepted("region") and stated.caveats == result.caveats
+
+
 def test_what_is_said_at_the_worst_corner_is_computed_there() -> None:
     swinging = replace(pendulum(), ranges=RANGES)
     loop = system_corners(swinging)
@@ -201,3 +214,25 @@ def test_a_command_at_its_limit_opens_the_loop() -> None:
     assert held.lines[0].text.endswith(
         "; u does not respond there (at a limit, or in a dead zone), so its loop is open"
     )
+    # only at a corner of the ranges, and behind a filter of the law
+    corner = System(boat, law, ranges={"disturbance.wind": (0.0, 5.0)})
+    assert not assess(ClosedLoop(corner)).accepted("loop")
+    smooth = Port("smooth", (1,), "N", "")
+    filtered = Controller(
+        "hold", 0.1, Layout((x,)), Layout((u,)),
+        lambda z, i, p: Action(z["smooth"], {"smooth": 0.5 * z["smooth"] + 0.5 * ca.fmax(-1, ca.fmin(1, -2 * i["x"]))}),
+        state=Layout((smooth,)),
+    )  # fmt: skip
+    free, held = (assess(ClosedLoop(System(boat, filtered), {"disturbance.wind": push})) for push in (0.5, 5.0))
+    assert free.accepted("loop") and not held.accepted("loop")
+
+
+def test_no_period_behind_a_stop_is_judged() -> None:
+    x, u = Port("x", (1,), "m", "", 1.0), Port("u", (1,), "m/s", "")
+    # a stiff floor at 0, which a stop at 0 never lets it reach
+    ball = Plant("ball", Layout((x,)), Layout((u,)), lambda s, f, d, p: {"x": f["u"] - 1e3 * ca.fmin(s["x"], 0)})
+    fall = Controller("fall", 0.1, Layout((x,)), Layout((u,)), lambda z, u, p: -1.0)
+    landed = System(ball, fall, stops={"floor": lambda s: s.x["x"] < 0.05})
+    record = run_system(landed, 5.0)
+    assert record.stopped == "floor" and not record.rough
+    assert run_system(System(ball, fall), 5.0).rough
