@@ -118,7 +118,7 @@ def test_no_region_of_all_equilibria_is_said_once_with_a_constant_value_that_has
     wide = sampled_dynamics(pendulum(), {"angle": (-0.06, 0.06), "rate": (-0.3, 0.3)})
     assert wide.shifts
     solution = solve(Problem(wide, "lyapunov"), time_limit=2.0, progress=told.append)
-    assert solution.verdict == "unknown" and "disturbance.gust=0..0 (the proof" in solution.reason
+    assert solution.verdict == "unknown" and "disturbance.gust=0..0 or a narrower range (the proof" in solution.reason
     assert "finds no region: give plant.mass=0.5..0.5 disturbance.gust" in solution.reason
     assert len(told) == len(set(told)) <= 1
     fixed = {"plant.mass": (0.5, 0.5), "disturbance.gust": (0.0, 0.0)}
